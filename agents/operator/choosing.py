@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.operator.drawn import DrawnThread
-from agents.operator.heard import FieldSeen
+from agents.operator.field_seen import FieldSeen
 from agents.operator.standing_by import POLICIES, Commands
 from agents.operator.wire import Click
 from agents.operator.words import Voice

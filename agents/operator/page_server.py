@@ -20,7 +20,7 @@ from importlib.resources import files
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from agents.operator.desk import Desk
-from agents.operator.pictures import Screen
+from agents.operator.screen import Screen
 from agents.operator.wire import LONGEST_MESSAGE, Hello, WireError, parsed
 
 TOKEN_BYTES = 24

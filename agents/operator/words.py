@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from agents.operator.control import ASKED_S, Control, Stage
-from agents.operator.pictures import Screen
+from agents.operator.screen import Screen
 from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState, ToolCorrection, ToolStatus
 
 STALE_S = 1.0

@@ -29,10 +29,10 @@ from agents.launch.in_the_way import already_running, in_the_way
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.launch.session_folder import new_session_folder
 from agents.launch.supervisor import Supervisor, last_line, supervised
-from agents.operator.beside import Surroundings
 from agents.operator.desk import Desk
 from agents.operator.page_server import Access, server_tls, serving
 from agents.operator.pictures import Resample
+from agents.operator.surroundings import Surroundings
 from schemas.messages import StereoCalibration
 from shared.clock import now_ns
 from shared.rectification import RectificationError, rectification, rectify_image

@@ -14,9 +14,9 @@ import numpy as np
 
 from agents.cli.page.recording import RigRecording
 from agents.configuration.rig import simulated_rig
-from agents.operator.beside import Surroundings
 from agents.operator.desk import Desk
 from agents.operator.page_server import Access, serving
+from agents.operator.surroundings import Surroundings
 from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.operator.beside import Surroundings
 from agents.operator.choosing import FOUND_ANEW, Choosing
-from agents.operator.heard import FieldSeen, is_followed
+from agents.operator.field_seen import FieldSeen, is_followed
+from agents.operator.surroundings import Surroundings
 from agents.operator.wire import Click
 from agents.operator.words import Voice
 from schemas.messages import CommandAnswer, FrameStamp, Outcome, TrackStep
