@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import json
 import os
+from typing import Any
 
 import pytest
 
@@ -178,14 +179,14 @@ def test_an_output_that_is_made_no_more_is_a_difference_and_steps_that_fail_are_
     class Silent(Reconstruction):
         """Says nothing of frame 1."""
 
-        def step(self, arrived):
+        def step(self, arrived: Any):
             made = list(super().step(arrived))
             return [] if arrived.message.stamp.sequence == 1 else made
 
     class Failing(Reconstruction):
         """Cannot do what it should."""
 
-        def step(self, arrived):
+        def step(self, arrived: Any):
             raise ZeroDivisionError(f"by {arrived.topic}")
 
     entries = list(read_recording(golden))

@@ -38,8 +38,8 @@ WAYPOINTS = tuple(
 
 
 def bridge():
-    patient = {"first_heartbeat_s": PATIENT_S, "maximum_plan_age_s": PATIENT_S}
-    return RobotBridge(RobotBridgeConfig(dead_man_s=10.0, **patient), SimulatedPsm())
+    patient = RobotBridgeConfig(dead_man_s=10.0, first_heartbeat_s=PATIENT_S, maximum_plan_age_s=PATIENT_S)
+    return RobotBridge(patient, SimulatedPsm())
 
 
 def simulator():

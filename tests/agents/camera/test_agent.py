@@ -47,8 +47,9 @@ def stepped(camera, now_ns):
 
 
 def test_the_calibration_comes_first_and_once_then_frames_numbered_and_stamped_as_they_were_taken():
-    camera = camera_of(None, 1, 2)
-    camera._source.taken_ns = 5_000_000, -7_000_000
+    source = Given(None, 1, 2)
+    camera = Camera(source, CALIBRATION_64, LATE)
+    source.taken_ns = 5_000_000, -7_000_000
     said = [stepped(camera, 10**9 * second) for second in (1, 2, 3, 4)]
     assert [set(each) for each in said] == [{CALIBRATION}, {FRAMES, FRAME_NOTICE}, {FRAMES, FRAME_NOTICE}, set()]
     stamps = [each[FRAMES].stamp for each in said[1:3]]
@@ -72,7 +73,8 @@ def test_images_arrive_as_they_were_or_as_jpeg_that_is_smaller_the_lower_its_qua
 
 
 def test_a_source_that_fails_loses_that_frame_alone_and_one_that_has_broken_off_ends_the_camera():
-    camera = camera_of(1, SourceError("film torn"), 2, BrokenOffError("cable pulled"))
+    source = Given(1, SourceError("film torn"), 2, BrokenOffError("cable pulled"))
+    camera = Camera(source, CALIBRATION_64, LATE)
     stepped(camera, 1)
     with pytest.raises(SourceError, match="film torn"):
         stepped(camera, 2)
@@ -80,7 +82,7 @@ def test_a_source_that_fails_loses_that_frame_alone_and_one_that_has_broken_off_
     with pytest.raises(CannotGoOnError, match=r"^cable pulled$"):
         stepped(camera, 4)
     camera.close()
-    assert camera._source.closed
+    assert source.closed
 
 
 def challenge(arm, challenge_ns):

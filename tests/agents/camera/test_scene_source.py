@@ -10,7 +10,7 @@ from agents.camera.scene_source import SceneSource, calibration_of, camera_in_mm
 from schemas.messages import RectifiedStereo, SimulatorState
 from schemas.topics import CALIBRATION, FRAME_NOTICE, FRAMES, SIMULATOR_STATE
 from shared.calibration.identity import calibration_id
-from shared.runtime.agent import Received, Tick
+from shared.runtime.agent import Received, Tick, outputs_in
 from shared.scene.render import Scene, render
 from shared.scene.sensor import NO_NOISE
 from shared.scene.surface import flat_surface
@@ -71,7 +71,7 @@ def test_the_agent_films_the_newest_state_and_calibrates_anew_for_another_camera
 
     def render(state, number):
         rendered.append((state.at_ns, number))
-        return 2 * (np.zeros((4, 4, 3), np.uint8),)
+        return np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4, 3), np.uint8)
 
     camera = SceneCamera(render, lambda state: calibration_of(state.camera), CameraConfig())
     wider = replace(SMALL, at_ns=7, camera=replace(SMALL.camera, fx_px=200.0, fy_px=200.0))
@@ -80,7 +80,7 @@ def test_the_agent_films_the_newest_state_and_calibrates_anew_for_another_camera
         for state in states:
             key = "suturegrasp/lab/simulator/main/state"
             assert list(camera.step(Received(SIMULATOR_STATE, key, 0, state))) == []
-        return {output.topic: output.message for output in camera.step(Tick(1))}
+        return {output.topic: output.message for output in outputs_in(camera.step(Tick(1)))}
 
     said = [filmed(), filmed(replace(STATE, at_ns=5), replace(SMALL, at_ns=6)), filmed(), filmed(wider)]
     assert rendered == [(6, 0), (6, 1), (7, 2)]

@@ -110,7 +110,8 @@ class Device:
 
 
 def paired(left, right, names=("0", "1")):
-    return VideoSource(*names, dict(zip(names, (left, right), strict=True)).__getitem__, left.clock)
+    one, other = names
+    return VideoSource(one, other, {one: left, other: right}.__getitem__, left.clock)
 
 
 def every(period_ms, start_ms, count):

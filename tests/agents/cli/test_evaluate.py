@@ -38,7 +38,7 @@ def test_simulator_and_planner_are_told_the_errors_of_a_trial_and_the_thread_is_
     tmp_path, monkeypatch
 ):
     told = {"scenarios": ("easy/chicken",), "seed": 1, "threads": 1, "goals": 3, "policies": ("direct",)}
-    told |= {"methods": ("refined",), "images": "light", "judge": "contact", "tool_errors_mm": (0.7,)}
+    told |= {"methods": ("refined",), "images": "light", "judge": "geometric", "tool_errors_mm": (0.7,)}
     told |= {"hand_eye_mm": 1.5, "hand_eye_deg": 1.0, "attempts": 2, "injected_share": 1.0, "injected_mm": 10.0}
     protocol = Protocol.model_validate(told)
     table = Table(protocol, threads_of(protocol)[0], tmp_path)
@@ -46,7 +46,9 @@ def test_simulator_and_planner_are_told_the_errors_of_a_trial_and_the_thread_is_
     every = [table._simulated(trial.model_copy(update=one)) for one in ({}, {"goal": 2}, {"policy": "robust"})]
     first = every[0]
     assert (first.tool_error_mm, first.hand_eye_error_mm, first.hand_eye_error_deg) == (0.7, 1.5, 1.0)
-    assert (first.physics, first.seed) == ("contact", table.scenery.simulated.seed)
+    assert (first.physics, first.seed) == ("geometric", table.scenery.simulated.seed)
+    by_contact = Table(protocol.model_copy(update={"judge": "contact"}), table.laid, tmp_path)
+    assert by_contact._simulated(trial).physics == "contact"
     assert len({one.error_seed for one in every}) == 3, "a tool's error is drawn anew for each trial"
     assert {one.hand_eye_seed for one in every} == {hand_eye_seed(table.protocol, table.laid)}, "and registration's not"
     for method, model in (("refined", "geometric"), ("paper", "paper")):

@@ -47,7 +47,8 @@ def test_who_is_called_is_named_with_its_address_and_processes_sign_nothing(tmp_
 
     def may(path):
         own = read(path).extensions
-        constraints, usage = (own.get_extension_for_class(kind) for kind in (x509.BasicConstraints, x509.KeyUsage))
+        constraints = own.get_extension_for_class(x509.BasicConstraints)
+        usage = own.get_extension_for_class(x509.KeyUsage)
         assert constraints.critical and usage.critical
         signs = usage.value.key_cert_sign or usage.value.crl_sign
         return constraints.value.ca, constraints.value.path_length, signs, usage.value.digital_signature

@@ -16,9 +16,19 @@ from agents.evaluation.sweep import falls_at, sweeps
 from agents.evaluation.table import overview
 from shared.runtime.config import ConfigError
 
-TOLD = {"seed": 1, "scenarios": ("easy/paper", "hard/chicken"), "threads": 2, "goals": 4, "images": "light"}
-TOLD |= {"policies": ("direct", "robust"), "methods": ("paper", "refined"), "judge": "geometric"}
-TOLD |= {"tool_errors_mm": (0.7,), "hand_eye_mm": 1.5, "hand_eye_deg": 1.0}
+TOLD = {
+    "seed": 1,
+    "scenarios": ("easy/paper", "hard/chicken"),
+    "threads": 2,
+    "goals": 4,
+    "images": "light",
+    "policies": ("direct", "robust"),
+    "methods": ("paper", "refined"),
+    "judge": "geometric",
+    "tool_errors_mm": (0.7,),
+    "hand_eye_mm": 1.5,
+    "hand_eye_deg": 1.0,
+}
 
 
 def protocol_with(**others):

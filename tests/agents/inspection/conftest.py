@@ -72,7 +72,7 @@ def calibration(unit=1e-3):
     return messages.StereoCalibration(96, 54, K, K, NONE, NONE, SHIFT, unit)
 
 
-def thread(number, at_s, unit=1e-3, unseen=(), reason=""):
+def thread(number, at_s, unit: float | None = 1e-3, unseen=(), reason=""):
     """A straight thread of 40 mm, 100 mm away; its variance along the view grows from 1 to 9 square millimetres."""
     points = np.column_stack((np.linspace(-20, 20, 4), np.zeros(4), np.full(4, 100.0)))
     camera = messages.RectifiedStereo(96, 54, 100.0, 100.0, 47.5, 26.5, 5.5, unit)

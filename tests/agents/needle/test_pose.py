@@ -59,7 +59,8 @@ class Drawn:
     def observed(self, hidden_px=0.0, seed=1):
         """What both eyes see of it; all within so many pixels of its point is hidden by an instrument."""
         rng = np.random.default_rng(seed)
-        return NeedleObservations(FrameStamp(3, 1, 1, "c"), CAMERA, *(self.view(eye, hidden_px, rng) for eye in (0, 1)))
+        left, right = (self.view(eye, hidden_px, rng) for eye in (0, 1))
+        return NeedleObservations(FrameStamp(3, 1, 1, "c"), CAMERA, left, right)
 
     def view(self, eye, hidden_px, rng):
         thread, needle = (project(CAMERA, points)[eye] for points in (self.thread[::-1], self.needle))
@@ -108,8 +109,8 @@ def test_a_point_behind_an_instrument_is_told_with_what_that_leaves_open():
     deviations = [np.sqrt(np.trace(pose.covariance_at(pose.arc_rad))) for pose in (shown, hidden)]
     assert deviations[1] > 2.0 > deviations[0]
     # who says how long the needle is knows where it ends, seen or not, and so does who saw it before
-    for told in ({"arc_deg": 180.0}, {"last": shown}):
-        assert errors(needle_pose(drawn.observed(40.0), **told), drawn)[1] < 1.0
+    for told in (needle_pose(drawn.observed(40.0), arc_deg=180.0), needle_pose(drawn.observed(40.0), last=shown)):
+        assert errors(told, drawn)[1] < 1.0
 
 
 def test_what_cannot_be_known_is_refused_with_its_reason():

@@ -58,9 +58,10 @@ def feed(planner, topic, message, instance="main"):
     assert list(planner.step(Received(topic, key("lab", topic, instance), 0, message))) == []
 
 
-def ask(planner, after_ms=50, **goal) -> list[Any]:
+def ask(planner, after_ms=50, **goal: Any) -> list[Any]:
     """The answer to a goal, by default one in the middle of the thread, and the plan that follows it."""
-    asked = bench.goal(**({"s": 0.4} | goal))
+    named: dict[str, Any] = {"s": 0.4} | goal
+    asked = bench.goal(**named)
     return list(planner.step(Command(GOAL, "main", asked, bench.CAPTURED_NS + after_ms * MS)))
 
 
@@ -239,7 +240,13 @@ def test_a_goal_by_s_is_refused_in_the_frame_in_which_the_thread_was_found_anew(
         assert by_s.code == ("thread_restarted" if step is TrackStep.RESTARTED else "")
 
 
-WRONG = {"samples": 1, "keep_probability": 0.0, "least_probability": 1.5, "depth_m": 0.02, "slide_deg": 70.0}
+WRONG: dict[str, Any] = {
+    "samples": 1,
+    "keep_probability": 0.0,
+    "least_probability": 1.5,
+    "depth_m": 0.02,
+    "slide_deg": 70.0,
+}
 
 
 @pytest.mark.parametrize("name", WRONG)

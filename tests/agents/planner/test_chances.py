@@ -58,6 +58,7 @@ def test_the_capture_is_the_best_of_all_that_are_allowed_and_of_equals_the_neare
     if not allowed.any():
         assert chosen is None
     else:
+        assert chosen is not None
         assert likely[chosen] == pytest.approx(max(p for p, free in zip(likely, allowed, strict=True) if free))
     places = np.flatnonzero(allowed)
     nearest = min(places, key=lambda i: (abs(i - goal), i), default=None)

@@ -1,6 +1,7 @@
 """The tissue as a height field along the viewing rays, and what of the jaws is nearest to it."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from hypothesis import given, settings
@@ -23,7 +24,7 @@ def slanted(u, v):
     return 80.0 / (1.0 - 0.5 * (u - 479.5) / 1000.0 + 0.25 * (v - 269.5) / 1000.0)
 
 
-def tissue_without(*columns, depth_mm=slanted):
+def tissue_without(*columns, depth_mm=slanted) -> Any:
     """All is known but these columns of cells."""
     return bench.tissue(depth_mm, known=lambda u, _: ~np.isin(np.round((u - 11.5) / 24), columns)).tissue
 
@@ -32,13 +33,16 @@ def tissue_without(*columns, depth_mm=slanted):
 @given(PLACES)
 def test_before_a_plane_the_clearance_is_the_way_along_the_ray_in_any_unit(places):
     surface = bench.surface(slanted)
-    off, deviation = clearance(tissue_of(surface), places)
+    of_surface: Any = tissue_of(surface)
+    off, deviation = clearance(of_surface, places)
     stretch = 0.08 / (places @ [-0.5, 0.25, 1.0])
     np.testing.assert_allclose(off, (stretch - 1.0) * np.linalg.norm(places, axis=1), atol=1e-9)
     assert ((deviation > 0.9e-4) & (deviation < 1.3e-4)).all()
     camera = dataclasses.replace(surface.camera, baseline=surface.camera.baseline * 1e-3, metres_per_unit=1.0)
+    assert surface.deviation is not None
     in_metres = {"camera": camera, "depth": surface.depth * 1e-3, "deviation": surface.deviation * 1e-3}
-    np.testing.assert_allclose(clearance(tissue_of(dataclasses.replace(surface, **in_metres)), places)[0], off)
+    of_metres: Any = tissue_of(dataclasses.replace(surface, **in_metres))
+    np.testing.assert_allclose(clearance(of_metres, places)[0], off)
 
 
 def test_what_a_thread_hides_is_known_from_both_sides_of_it_and_less_surely_where_that_is_rough():
@@ -71,7 +75,7 @@ def test_the_way_in_counts_too():
     """A ridge that only the jaws on their way to the thread would touch: they come slantwise from below."""
     slant = exp_so3(np.array([-np.radians(60), 0, 0]))
     pose = transform(slant, np.array([0.0, 0.0, 0.06]) - 0.0082 * slant[:, 2])[None]
-    ridge = bench.tissue(lambda _, v: np.where(np.abs(v - 170) < 60, 45.0, 80.0)).tissue
+    ridge: Any = bench.tissue(lambda _, v: np.where(np.abs(v - 170) < 60, 45.0, 80.0)).tissue
     arrived, coming = (nearest_to_tissue(ridge, pose, of(CERTAIN), CERTAIN) for of in (slide_pass, capture_pass))
     assert coming.bound_m[0] < arrived.bound_m[0]
     assert capture_pass(CERTAIN).phase[coming.step[0]] is Phase.APPROACH

@@ -148,5 +148,5 @@ def test_parameters_are_the_share_of_the_way_and_even_or_as_they_were_at_one_pla
     along = np.linalg.norm(np.diff(evaluate(KNOTS, P, 3, np.linspace(0, 1, 20_001)), axis=0), axis=1).cumsum()
     shares = np.interp(s, np.linspace(0, 1, 20_001)[1:], along / along[-1], left=0.0)
     assert np.allclose(constant_speed_parameters(KNOTS, P, s), shares, atol=1e-6)
-    for P in (np.zeros((20, 3)), np.full((20, 3), np.nan)):
-        assert np.array_equal(constant_speed_parameters(KNOTS, P, s), s)
+    for same in (np.zeros((20, 3)), np.full((20, 3), np.nan)):
+        assert np.array_equal(constant_speed_parameters(KNOTS, same, s), s)

@@ -100,4 +100,5 @@ def observed_lines(left, right, camera=CAMERA, **changes):
 
 def observed_curve(curve, shown=((0.0, 1.0),), camera=CAMERA, **changes):
     """Observations of a thread of which these stretches are shown."""
-    return observed_lines(*(see(curve, eye, shown, camera) for eye in (0, 1)), camera, **changes)
+    left, right = (see(curve, eye, shown, camera) for eye in (0, 1))
+    return observed_lines(left, right, camera, **changes)

@@ -21,7 +21,7 @@ LINE = np.linspace((0.0, 0.0, 0.1), (0.03, 0.0, 0.1), 5)
 RULES = tolerant(messages.ThreadReconstruction)
 
 
-def thread(points=LINE, metres_per_unit=1.0, **other):
+def thread(points=LINE, metres_per_unit: float | None = 1.0, **other):
     made = {"knots": clamped_uniform_knots(len(points)), "control_points_camera": points}
     return dataclasses.replace(example(0, 0.0, unit=metres_per_unit), **(made | other))
 

@@ -1,6 +1,7 @@
 """What of a recording is played and when: its topics, stretch, order, moments, steps, and who is waited for."""
 
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 import pytest
@@ -112,7 +113,7 @@ def test_a_stretch_that_makes_no_sense_is_said_in_a_sentence(begin, end, said):
     assert said in str(refused.value)
 
 
-def sent(recording, keys, begin_ms=0, end_ms=2000, commands=()):
+def sent(recording, keys, begin_ms=0, end_ms=2000, commands=()) -> list[Any]:
     window = recording.begin_ns + begin_ms * MS, recording.begin_ns + end_ms * MS
     return list(items(readable(recording.path), keys, commands, window, "elsewhere"))
 

@@ -42,12 +42,12 @@ def last_thread(camera):
     """The lines of a thread that was in view a frame before, and what the same camera has made of them."""
     t = np.linspace(0, 1, 200)
     left = np.column_stack((90 + 160 * t, 120 + 70 * np.sin(5 * t)))
-    lines = [
+    lines = tuple(
         Centrelines(left - (disparity, 0.0), np.zeros(200, np.int64), np.full(200, 3.0), np.full(200, 0.1))
         for disparity in (0.0, 20.0)
-    ]
+    )
     before = FrameStamp(6, 100 - 33_333_333, 200 - 33_333_333, "calibration")
-    return lines, track_refined(observed_lines(*lines, camera, stamp=before), None)
+    return lines, track_refined(observed_lines(lines[0], lines[1], camera, stamp=before), None)
 
 
 def wandering(rng, count):
@@ -103,9 +103,8 @@ def test_any_centrelines_end_as_a_status(data):
     lines, last = last_thread(camera)
     # a track goes on only where an image shows its thread, so often one of them does
     known = data.draw(st.sampled_from((None, None, 0, 1)))
-    checked(
-        observed_lines(*(lines[eye] if eye == known else new for eye, new in enumerate((left, right))), camera), last
-    )
+    left, right = (lines[eye] if eye == known else new for eye, new in enumerate((left, right)))
+    checked(observed_lines(left, right, camera), last)
 
 
 ABSURD = (5e-324, 1e-300, 1e-30, 1e-9, 1e9, 1e18, 2.0**63, 1e30, 1e300, 1.7e308)
@@ -143,9 +142,10 @@ def test_absurd_but_valid_tracks_and_cameras_end_as_a_status(of_track, of_camera
     camera = CAMERA if of_camera is None else spoilt(CAMERA, of_camera, number, rng)
     track = spoilt(last.track, of_track, number, rng)
     assume(camera is not None and track is not None)
+    assert camera is not None
     last = dataclasses.replace(last, camera=camera, track=track)
     with np.errstate(all="ignore"):
-        checked(observed_lines(*lines, camera), last)
+        checked(observed_lines(lines[0], lines[1], camera), last)
 
 
 def scribble(mask, rng):

@@ -31,7 +31,9 @@ def off(curve, truth=SPLINE):
 @pytest.mark.parametrize("seed", range(2))
 def test_from_a_curve_some_pixels_aside_exact_points_give_the_thread_and_noisy_ones_with_their_deviations(seed):
     rng, k = np.random.default_rng(seed), np.arange(len(SPLINE.control_points))[:, None]
-    waves = sum(rng.normal(0, 0.15, 3) * np.sin(0.4 * (n + 1) * k + rng.uniform(0, 6, 3)) for n in range(3))
+    waves = np.sum(
+        [rng.normal(0, 0.15, 3) * np.sin(0.4 * (n + 1) * k + rng.uniform(0, 6, 3)) for n in range(3)], axis=0
+    )
     disturbed = SPLINE.moved(waves * [1, 1, 4])
     fit = refined(Start(disturbed, sight_of(SPLINE)), CAMERA)
     mean, most = off(fit.curve)
@@ -125,10 +127,9 @@ def slowly_off(curve, seed, correlation_px=70.0, alike=0.0):
 
 def inside(fit, truth):
     """The share of places where the thread lies within the 95 % ellipse."""
-    places = fit.curve.derivatives(WITHIN)[:2]
-    return normal_errors(
-        *places, point_covariance(fit, CAMERA, WITHIN), truth.at(np.linspace(0, 1, 4000))
-    ).inside.mean()
+    points, tangents = fit.curve.derivatives(WITHIN)[:2]
+    covariance = point_covariance(fit, CAMERA, WITHIN)
+    return normal_errors(points, tangents, covariance, truth.at(np.linspace(0, 1, 4000))).inside.mean()
 
 
 def test_slow_errors_of_each_image_lie_within_the_ellipses_though_residuals_hide_them():

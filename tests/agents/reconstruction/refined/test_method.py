@@ -55,7 +55,8 @@ def test_the_default_method_finds_the_thread_from_both_centrelines_each_time_its
     assert len(thread.posterior_s) == len(thread.posterior_covariance) == len(thread.confidence) >= 100
     assert thread.confidence.min() > 0.9
     assert thread.unseen.shape == (0, 2)
-    turned = reconstruct_refined(observed_lines(*(lines_of(see(curve, eye).point_px[::-1]) for eye in (0, 1))))
+    left, right = (lines_of(see(curve, eye).point_px[::-1]) for eye in (0, 1))
+    turned = reconstruct_refined(observed_lines(left, right))
     for told in (thread, turned):
         ends, _ = project(CAMERA, told.control_points_camera[[0, -1]])
         assert ends[0, 0] <= ends[1, 0]
@@ -167,12 +168,14 @@ def test_what_hardly_looks_like_thread_is_none_unless_somebody_says_that_it_is()
     line = LEFT.point_px[::8]
     weak = ThreadCandidate(0.2, line, RIGHT.point_px[::8], 6.0, np.array([20, 20, 60]))
     assert "score 0.20 of at least" in reason_of(segmenter="network", candidates=(weak,))
-    for told in (
+    some: tuple[dict[str, Any], ...] = (
         {"prompt_px": line[0], "candidates": (weak,)},
         {"segmenter": GIVEN_MASKS, "candidates": (weak,)},
         {"candidates": (dataclasses.replace(weak, score=0.6),)},
-    ):
-        assert reconstruct_refined(observed_lines(LEFT, RIGHT, **{"segmenter": "network", **told})).status is Status.OK
+    )
+    for told in some:
+        changes: dict[str, Any] = {"segmenter": "network", **told}
+        assert reconstruct_refined(observed_lines(LEFT, RIGHT, **changes)).status is Status.OK
 
 
 def fed(agent, message):
