@@ -114,6 +114,11 @@ def test_a_rectified_pair_that_contradicts_itself(write, changes, unit, complain
         ("calib.l2r.txt", None, "the folder has no .*l2r"),
         ("calib.left.intrinsics.txt", "1 0 0\n0 1 0\n0 0 1\n", "the folder has no .*left.*distortion"),
         ("calib.left.intrinsics.txt", "1 2\n3 4\n", "calib.left.* must hold three rows of three numbers"),
+        (
+            "calib.left.intrinsics.txt",
+            "1 0 0\n0 1 0\n0 0 1\n0 0 0 0\n0 0 0 0\n",
+            "calib.left.* at most one of distortion",
+        ),
         ("calib.left.intrinsics.txt", "", "calib.left.*it is empty"),
         ("calib.left.intrinsics.txt", "a b c\n", "calib.left.*does not hold numbers only"),
         ("calib.left.intrinsics.txt", "800 0 nan\n0 800 270\n0 0 1\n0 0 0 0\n", "calib.left.*not a finite number"),
