@@ -27,9 +27,9 @@ from scipy.optimize import minimize
 from agents.camera.scene_source import calibration_of
 from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.reconstruction.refined import course, paths
-from agents.reconstruction.refined.covered_ends import map_of, with_covered_ends
 from agents.reconstruction.refined.method import METHOD
-from agents.reconstruction.refined.pieces import pieces_of
+from agents.reconstruction.refined.paths import pieces_of
+from agents.reconstruction.refined.sightings import map_of, with_covered_ends
 from benchmarks.measures import evenly, places_along
 from benchmarks.scenes import HIDDEN, RENDERS, hiding_shaft, scenes
 from benchmarks.tables import CONSOLE

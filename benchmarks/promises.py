@@ -31,7 +31,7 @@ from rich.table import Table
 from agents.camera.scene_source import calibration_of
 from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.evaluation.look import seen_places
-from agents.evaluation.reliability import EDGES
+from agents.evaluation.results import EDGES
 from agents.planner.agent import reaches_of
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig

@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.replay.contents import contents_of, known_topic, readable
-from agents.replay.spacing import Spacing, spacing_errors_ms, spacing_of
+from agents.replay.flow import Spacing, spacing_errors_ms, spacing_of
 from schemas.topics import FRAMES, OBSERVATIONS, ROBOT_STATE, SIMULATOR_STATE, TOPICS, Topic, key
 from shared.clock import monotonic_s
 from shared.recording.mcap_file import Entry, RecordingWriter

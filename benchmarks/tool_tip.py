@@ -22,17 +22,17 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from agents.simulator.agent import ENDOSCOPE
-from agents.tool_tracker.acquisition import soft_pair
 from agents.tool_tracker.correction import about
 from agents.tool_tracker.outline import outline
 from agents.tool_tracker.refinement import View
+from agents.tool_tracker.search import soft_pair
 from agents.tool_tracker.track import Following, begun, followed
 from agents.tool_tracker.tubes import FINGER, tubes
 from shared.clock import processor_s
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.rigid_transforms import apply
-from shared.scene.backdrop import Backdrop
+from shared.scene.backdrop_files import Backdrop
 from shared.scene.path_traced.solids import Solid
 from shared.scene.render import render_backdrop
 from shared.scene.sensor import Sensor, expose, grain

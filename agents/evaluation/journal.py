@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from agents.evaluation.came import Came
+from agents.evaluation.look import Came
 from agents.evaluation.protocol import Protocol, Trial
 from shared.runtime.config import ConfigError
 

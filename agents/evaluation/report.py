@@ -1,16 +1,78 @@
-"""The report of an evaluation: one HTML file with tables, diagrams and pictures in it."""
+"""The report of an evaluation: one HTML file with tables, diagrams and pictures in it.
+
+Diagrams as SVG.
+
+The results for programs.
+"""
 
 import base64
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from agents.evaluation.came import Came
-from agents.evaluation.charts import reliability_chart, sweep_chart
+from agents.evaluation.look import Came
 from agents.evaluation.protocol import Protocol
-from agents.evaluation.results import Results
-from agents.evaluation.sweep import sweeps
-from agents.evaluation.table import named, overview
+from agents.evaluation.results import Compared, Rate, Reliability, Results
+from agents.evaluation.table import FALLS_TO, Sweep, named, overview, sweeps
+
+WIDTH, HEIGHT, LEFT, BOTTOM = 420, 300, 45, 40
+COLOURS = ("#b04a4a", "#d9a441", "#3b6ea8", "#3f8f5b")
+LARGEST_PX = 14.0
+
+
+def reliability_chart(found: Reliability) -> str:
+    """The share that held over what was promised: on the diagonal promises hold."""
+    most = max(b.trials for b in found.bins)
+    dots = [
+        f'<circle cx="{_x(b.promised):.1f}" cy="{_y(b.held):.1f}" r="{2 + LARGEST_PX * (b.trials / most) ** 0.5:.1f}" '
+        'fill="#3b6ea8" fill-opacity=".5"/>'
+        for b in found.bins
+    ]
+    diagonal = f'<line x1="{_x(0)}" y1="{_y(0)}" x2="{_x(1)}" y2="{_y(1)}" stroke="#999"/>'
+    return _chart([diagonal, *dots], [(share, f"{100 * share:g} %") for share in (0, 0.25, 0.5, 0.75, 1)], "promised")
+
+
+def sweep_chart(found: Sequence[Sweep]) -> str:
+    """Success over the deviation of the tool's error, a line for each row."""
+    most = max(found[0].errors_mm) or 1.0
+    parts = [_line([(0.0, FALLS_TO), (1.0, FALLS_TO)], "#999", ' stroke-dasharray="4 3"')]
+    for i, (sweep, colour) in enumerate(zip(found, COLOURS, strict=False)):
+        points = [(e / most, r.share) for e, r in zip(sweep.errors_mm, sweep.rates, strict=True) if r.share is not None]
+        parts.append(_line(points, colour))
+        y = _y(0.05) - 16 * (len(found) - 1 - i)
+        parts.append(f'<text x="{_x(0.03)}" y="{y}" fill="{colour}">{named(sweep.row)}</text>')
+    return _chart(parts, [(error / most, f"{error:g}") for error in found[0].errors_mm], "tool error, mm")
+
+
+def _chart(parts: list[str], ticks: list[tuple[float, str]], below: str) -> str:
+    """Axes from 0 to 1 around the parts, with ticks below."""
+    grid = [_line([(0.0, share), (1.0, share)], "#eee") for share in (0.25, 0.5, 0.75)]
+    frame = (
+        f'<rect x="{_x(0)}" y="{_y(1)}" width="{_x(1) - _x(0)}" height="{_y(0) - _y(1)}" fill="none" stroke="#666"/>'
+    )
+    left = [
+        f'<text x="{LEFT - 5}" y="{_y(share) + 4}" text-anchor="end">{100 * share:g} %</text>'
+        for share in (0, 0.25, 0.5, 0.75, 1)
+    ]
+    under = [f'<text x="{_x(x)}" y="{_y(0) + 15}" text-anchor="middle">{text}</text>' for x, text in ticks]
+    name = f'<text x="{_x(0.5)}" y="{HEIGHT - 5}" text-anchor="middle">{below}</text>'
+    body = "".join([*grid, frame, *left, *under, name, *parts])
+    return f'<svg width="{WIDTH}" height="{HEIGHT}" font-size="11" font-family="sans-serif">{body}</svg>'
+
+
+def _line(points: list[tuple[float, float]], colour: str, more: str = "") -> str:
+    path = " ".join(f"{_x(x):.1f},{_y(y):.1f}" for x, y in points)
+    return f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="1.5"{more}/>'
+
+
+def _x(share: float) -> float:
+    return LEFT + share * (WIDTH - LEFT - 15)
+
+
+def _y(share: float) -> float:
+    return HEIGHT - BOTTOM - share * (HEIGHT - BOTTOM - 12)
+
 
 STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1250px;padding:0 1em;color:#222}
@@ -119,3 +181,55 @@ def _figure(content: str, caption: str) -> str:
 def _image(picture: Picture) -> str:
     data = base64.b64encode(picture.data).decode()
     return f'<img alt="" src="data:{picture.mime};base64,{data}">'
+
+
+def document(protocol: Protocol, every: list[Results], whole: Results) -> dict[str, Any]:
+    """One entry for each size of the tool's error, and what is told of all of them."""
+    return {
+        "protocol": protocol.model_dump(),
+        "results": [_told(results) for results in every],
+        "sweep": [_sweep(sweep) for sweep in sweeps(every)],
+        "reliability": {named(row): _reliability(found) for row, found in whole.reliability.items() if found},
+    }
+
+
+def _sweep(sweep: Sweep) -> dict[str, Any]:
+    shares = [rate.share for rate in sweep.rates]
+    told = {"row": named(sweep.row), "errors_mm": sweep.errors_mm, "shares": shares}
+    return told | {"falls_to_95_percent_at_mm": sweep.falls_at_mm}
+
+
+def _reliability(found: Reliability) -> dict[str, Any]:
+    told = {"trials": found.trials, "brier": found.brier, "skill": found.skill, "worst_off": found.worst_off}
+    return told | {"bins": [vars(b) for b in found.bins]}
+
+
+def _told(results: Results) -> dict[str, Any]:
+    names = [*results.scenarios, "total"]
+    return {
+        "tool_error_mm": results.tool_error_mm,
+        "published_percent": {p: dict(zip(names, told, strict=True)) for p, told in results.published.items()},
+        "rates": {named(row): dict(zip(names, map(_rate, rates), strict=True)) for row, rates in results.rates.items()},
+        "compared": [_compared(compared) for compared in results.compared],
+        "causes": {named(row): causes for row, causes in results.causes.items()},
+        "declined": {named(row): codes for row, codes in results.declined.items()},
+        "checks": {named(row): vars(checks) if checks else None for row, checks in results.checks.items()},
+        "durations": {named(row): vars(took) if took else None for row, took in results.durations.items()},
+    }
+
+
+def _rate(rate: Rate) -> dict[str, Any]:
+    told = {"held": rate.held, "tried": rate.tried, "declined": rate.declined, "share": rate.share}
+    return told | {"95_over_threads": rate.over_threads, "95_wilson": rate.interval}
+
+
+def _compared(compared: Compared) -> dict[str, Any]:
+    both, first, second, neither = compared.pairs
+    return {
+        "first": named(compared.first),
+        "second": named(compared.second),
+        "pairs": {"both": both, "first_only": first, "second_only": second, "neither": neither},
+        "difference": compared.difference,
+        "difference_95_over_threads": compared.over_threads,
+        "mcnemar_exact_p": compared.p_value,
+    }

@@ -1,11 +1,68 @@
-"""The results as Markdown: Table I with the paper's rows beside ours, and what the figures are worth."""
+"""The results as Markdown: Table I with the paper's rows beside ours, and what the figures are worth.
+
+Success over the size of the tool's error, and the error at which it falls to a given share.
+
+The least time that a plan's way takes at the limits of speed, were there none of acceleration and jerk.
+
+From one pose to the next the tool needs max(|Δp| / v, |Δangle| / ω, |Δjaw| / j); where there may be thread between the
+fingers, v, ω and j are those of contact.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
 
 from agents.evaluation.protocol import Protocol
 from agents.evaluation.results import Compared, Durations, Rate, Results, Row
-from agents.evaluation.sweep import Sweep, sweeps
+from shared.rigid_transforms import angle_between
 from shared.success_rates import Interval
+
+FALLS_TO = 0.95
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A row's rates over the deviation of the tool's error, in millimetres.
+
+    Fields:
+        falls_at_mm: where the rate falls to 95 %, between two sizes on a straight line; None where it never does, or is
+            lower from the start.
+    """
+
+    row: Row
+    errors_mm: tuple[float, ...]
+    rates: tuple[Rate, ...]
+    falls_at_mm: float | None
+
+
+def sweeps(every: Sequence[Results]) -> list[Sweep]:
+    """One for each row, where several sizes were tried."""
+    sized = [(results.tool_error_mm, results) for results in every if results.tool_error_mm is not None]
+    if len(sized) < 2:
+        return []
+    sized.sort(key=lambda pair: pair[0])
+    errors, ordered = tuple(size for size, _ in sized), [results for _, results in sized]
+    result: list[Sweep] = []
+    for row in ordered[0].rows:
+        rates = tuple(results.rates[row][-1] for results in ordered)
+        known = [(e, r.share) for e, r in zip(errors, rates, strict=True) if r.share is not None]
+        result.append(Sweep(row, errors, rates, falls_at(known, FALLS_TO)))
+    return result
+
+
+def falls_at(curve: Sequence[tuple[float, float]], share: float) -> float | None:
+    """Where a curve first falls to a share; None where it never does, or begins below it."""
+    x, y = np.array(curve, np.float64).reshape(-1, 2).T
+    below = np.flatnonzero(y <= share)
+    if not len(below) or y[0] < share:
+        return None
+    after = int(below[0])
+    if after == 0:
+        return float(x[0])
+    before = after - 1
+    return float(x[before] + (y[before] - share) / (y[before] - y[after]) * (x[after] - x[before]))
 
 
 def page(results: Results) -> str:
@@ -172,3 +229,30 @@ def _declined(results: Results) -> list[str]:
                 f"rate; were they failures, {100 * total.asked:.1f} % held."
             )
     return told
+
+
+@dataclass(frozen=True)
+class SpeedLimits:
+    """Of an arm: m/s, rad/s, rad/s of the jaw, and the share of them in contact."""
+
+    speed: float
+    angular_speed: float
+    jaw_speed: float
+    contact_share: float
+
+
+def least_time_s(
+    T_tool: Float64[np.ndarray, "n 4 4"],
+    jaw_rad: Float64[np.ndarray, "n"],
+    in_contact: Bool[np.ndarray, "n"],
+    limits: SpeedLimits,
+) -> float:
+    """Through all poses, in one frame; `in_contact` tells of the way to each pose."""
+    distance = np.linalg.norm(np.diff(T_tool[:, :3, 3], axis=0), axis=1)
+    turn = angle_between(T_tool[:-1, :3, :3], T_tool[1:, :3, :3])
+    # the jaws are the same after half a turn about the fingers
+    turned = T_tool[1:, :3, :3] * np.array((-1.0, -1.0, 1.0))
+    turn = np.minimum(turn, angle_between(T_tool[:-1, :3, :3], turned))
+    jaw = np.abs(np.diff(jaw_rad))
+    steps = np.max((distance / limits.speed, turn / limits.angular_speed, jaw / limits.jaw_speed), axis=0)
+    return float((steps / np.where(in_contact[1:], limits.contact_share, 1.0)).sum())

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.evaluation.came import Came
-from agents.evaluation.least_time import SpeedLimits, least_time_s
-from agents.evaluation.look import Look
+from agents.evaluation.look import Came, Look
 from agents.evaluation.protocol import Trial
+from agents.evaluation.table import SpeedLimits, least_time_s
 from schemas.messages import (
     Arm,
     CommandAnswer,

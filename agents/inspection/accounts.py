@@ -1,11 +1,30 @@
-"""What the agents said of themselves: how they fared, what they dropped, their faults and their logs."""
+"""What the agents said of themselves: how they fared, what they dropped, their faults and their logs.
 
-from dataclasses import dataclass, field
+What a session was run with: what the recorder noted, versions, calibration, the simulated scene.
+
+How long it takes from capture until each stage has published, and how much of that each stage adds.
+
+A result carries the capture time of the images that it descends from. So what one stage adds to a frame is the time
+from the publication of the stage before until its own, for messages of one capture; on the way between two hosts the
+difference of their clocks is part of that.
+"""
+
+import json
+from array import array
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float64, Int64
 
-from schemas.messages import AgentHealth, InputHealth, LogLevel, LogRecord
-from schemas.topics import MAIN
+from agents.inspection.contents import LATEST_NS
+from agents.inspection.threads import ThreadQuality
+from schemas.messages import AgentHealth, InputHealth, LogLevel, LogRecord, SimulatorState, StereoCalibration
+from schemas.topics import FRAMES, MAIN, PLAN, ROBOT_STATE, TOPICS, Topic
+from shared.recording.derivation import BEGUN, DERIVED, derivations
+from shared.recording.entry import Note
+from shared.recording.losses import AT, LOSSES
 
 GRAVE = (LogLevel.WARNING, LogLevel.ERROR)
 FAULT = "FAULT"
@@ -148,3 +167,177 @@ def _drops(agent: str, topic: str, accounts: list[InputHealth], before: list[Inp
         for count in ("received", "dropped", "missed", "refused")
     )
     return Drops(agent, topic, received, dropped, missed, refused)
+
+
+EPOCH = ".epoch"
+"""Which run it was is drawn by chance, and says nothing of how it was run."""
+LONGEST_VALUE = 2000
+
+
+def noted_facts(notes: list[Note]) -> dict[str, str]:
+    """What was noted of the session as a whole, one fact a line; JSON within a fact is taken apart."""
+    facts: dict[str, str] = {}
+    for note in notes:
+        if note.name not in (LOSSES, DERIVED, BEGUN) and not is_of_a_moment(note):
+            for name, text in note.facts.items():
+                facts.update(_flat(f"{_name(note)}.{name}", _parsed(text)))
+    for number, one in enumerate(derivations(notes), 1):
+        told = asdict(one)
+        # how long steps took differs from run to run, and says nothing of how it was run
+        told["agents"] = {name: {"outputs": anew.outputs, "kept": anew.kept} for name, anew in one.agents.items()}
+        facts.update(_flat(f"derived {number}", {name: value for name, value in told.items() if value != ""}))
+    return {name: value for name, value in facts.items() if not name.endswith(EPOCH)}
+
+
+def _name(note: Note) -> str:
+    """The name of a note, with the agent that it is about, where there is one for each."""
+    agent = " ".join(note.facts[name] for name in ("agent", "instance") if name in note.facts)
+    return f"{note.name} {agent}".strip()
+
+
+def is_of_a_moment(note: Note) -> bool:
+    """Whether a note tells of something that happened at one time."""
+    return note.facts.get(AT, "").isdecimal()
+
+
+def attached_facts(files: Mapping[str, bytes]) -> dict[str, str]:
+    """What attached JSON files say, one fact a line, each under the name of its file without its suffix."""
+    facts: dict[str, str] = {}
+    for name, data in files.items():
+        document = _parsed(data.decode("utf-8", "replace").strip())
+        if not isinstance(document, str):
+            facts.update(_flat(name.removesuffix(".json"), document))
+    return facts
+
+
+def facts_of_messages(
+    calibration: StereoCalibration | None,
+    scene: SimulatorState | None,
+    agents: tuple[AgentAccount, ...],
+    quality: ThreadQuality,
+) -> dict[str, str]:
+    """What the messages themselves say of how the session was run."""
+    facts: dict[str, str] = {}
+    if calibration is not None:
+        facts |= _calibration_facts(calibration)
+    if scene is not None:
+        facts |= {
+            "scene.background": scene.background,
+            "scene.colour": scene.colour,
+            "scene.seed": str(scene.seed),
+            "scene.distance_mm": f"{scene.distance_m * 1e3:g}",
+        }
+    for kind in ("segmenter", "method"):
+        names = sorted(name for of, name in quality.methods if of == kind and name)
+        if names:
+            facts[f"thread.{kind}"] = ", ".join(names)
+    for name in ("version", "host", "config_hash"):
+        facts |= _common({f"{agent.name}.{name}": getattr(agent, name) for agent in agents}, f"agents.{name}")
+    return facts
+
+
+def _common(facts: dict[str, str], name: str) -> dict[str, str]:
+    """One fact under that name where all are the same, else each under its own; empty ones are left out."""
+    told = {key: value for key, value in facts.items() if value}
+    values = set(told.values())
+    return {name: values.pop()} if len(values) == 1 and len(told) == len(facts) else told
+
+
+def _calibration_facts(calibration: StereoCalibration) -> dict[str, str]:
+    unit = calibration.metres_per_unit
+    baseline = float(np.linalg.norm(calibration.T_right_left[:3, 3]))
+    return {
+        "calibration.image_px": f"{calibration.image_width}x{calibration.image_height}",
+        "calibration.focal_px": f"{calibration.K_left[0, 0]:.2f}",
+        "calibration.baseline_mm" if unit else "calibration.baseline": f"{baseline * (unit * 1e3 if unit else 1):.4g}",
+        "calibration.metres_per_unit": "unknown" if unit is None else f"{unit:g}",
+    }
+
+
+def _parsed(text: str) -> Any:
+    if text[:1] in ("{", "["):
+        try:
+            return json.loads(text)
+        except (ValueError, RecursionError):
+            return text
+    return text
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict):
+        for key, one in value.items():
+            yield from _flat(f"{name}.{key}", one)
+    else:
+        text = value if isinstance(value, str) else json.dumps(value)
+        yield name, text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}…"
+
+
+STAGES = tuple(topic for topic in TOPICS if topic is FRAMES or (topic.made_from is not None and not topic.per_arm))
+BEFORE = {str(topic): str(topic.made_from) for topic in STAGES if topic is not PLAN and topic.made_from is not None}
+"""Of a plan the time is its goal's: it waits for nobody's frame."""
+PERCENTILES = (50.0, 90.0, 99.0, 100.0)
+
+
+@dataclass
+class StageTimes:
+    """When the messages of one stage were captured and published."""
+
+    captured: "array[int]" = field(default_factory=lambda: array("q"))
+    published: "array[int]" = field(default_factory=lambda: array("q"))
+
+    def add(self, captured_ns: int, published_ns: int) -> None:
+        """Count a message."""
+        self.captured.append(captured_ns)
+        self.published.append(min(published_ns, LATEST_NS))
+
+    @property
+    def captured_ns(self) -> Int64[np.ndarray, "n"]:
+        """When the images, or what else was measured, were taken."""
+        return np.array(self.captured, np.int64)
+
+    @property
+    def published_ns(self) -> Int64[np.ndarray, "n"]:
+        """When the results were published."""
+        return np.array(self.published, np.int64)
+
+    @property
+    def latency_ms(self) -> Float64[np.ndarray, "n"]:
+        """Milliseconds from capture until publication."""
+        return (self.published_ns - self.captured_ns) * 1e-6
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages a second from the first to the last; 0 for fewer than two."""
+        lasted_ns = float(np.ptp(self.published_ns)) if self.published else 0.0
+        return (len(self.published) - 1) * 1e9 / lasted_ns if lasted_ns else 0.0
+
+
+def stage_of(topic: Topic, instance: str) -> str:
+    """The name of the stage that a message belongs to; empty for none."""
+    if topic is ROBOT_STATE:
+        return f"{topic} {instance}"
+    return str(topic) if topic in STAGES else ""
+
+
+def in_order(stage: str) -> tuple[int, str]:
+    """A key that sorts stages as frames pass through them."""
+    names = [str(topic) for topic in STAGES]
+    return names.index(stage) if stage in names else len(names), stage
+
+
+def captured_ns(message: Any) -> int:
+    """When what a stage's message is about was seen by the first eye, or measured."""
+    if hasattr(message, "measured_ns"):
+        return message.measured_ns
+    return min(message.stamp.capture_left_ns, message.stamp.capture_right_ns)
+
+
+def added_ms(before: StageTimes, stage: StageTimes) -> Float64[np.ndarray, "m"]:
+    """Milliseconds from the publication of the stage before until that of a stage, for captures that both have."""
+    _, i, j = np.intersect1d(before.captured_ns, stage.captured_ns, return_indices=True)
+    return (stage.published_ns[j] - before.published_ns[i]) * 1e-6
+
+
+def percentiles(values: Float64[np.ndarray, "n"]) -> tuple[float, ...]:
+    """The 50th, 90th and 99th percentile and the maximum; none of nothing."""
+    return tuple(float(p) for p in np.percentile(values, PERCENTILES)) if len(values) else ()

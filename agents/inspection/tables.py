@@ -2,11 +2,10 @@
 
 from datetime import UTC, datetime
 
+from agents.inspection.accounts import BEFORE, added_ms, is_of_a_moment, percentiles
 from agents.inspection.contents import KeyContents
-from agents.inspection.facts import is_of_a_moment
 from agents.inspection.grasp_tables import commands, grasps, phases
 from agents.inspection.session import Session
-from agents.inspection.stages import BEFORE, added_ms, percentiles
 from agents.inspection.table import Row, Table, decimal, megabytes, short
 from shared.recording.losses import AT
 

@@ -21,7 +21,7 @@ from shared.runtime.facts import Surroundings, ask_for_realtime
 from shared.runtime.process import keep_freed_memory
 from shared.runtime.runner import Runner
 from shared.runtime.session import runs_already
-from shared.scene.backdrop import SceneError
+from shared.scene.backdrop_files import SceneError
 from shared.terminal import complain
 
 REALTIME_PRIORITY = 50

@@ -10,8 +10,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 
 from agents.perception.due import Due
-from agents.perception.glances.glance import part_score
-from agents.perception.glances.parts import Part, next_part
+from agents.perception.glances.glance import Part, next_part, part_score
 from agents.perception.judging.whole import Whole, judge_whole
 from agents.perception.segmentation.choice import suitable_segmenter
 from agents.perception.segmentation.classes import ThreadScore

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from agents.perception.segmentation.near import Meant
+from agents.perception.segmentation.boxes import Meant
 
 REACH_SHARE = 0.03
 """Of the width: how far from a prompt a thread may lie and still be meant."""

@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float64, UInt8
 from agents.perception.due import judged_in
 from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
+from agents.perception.segmentation.boxes import Near
 from agents.perception.segmentation.choice import SCORED, SEGMENTERS, Segmenter, suitable_segmenter
-from agents.perception.segmentation.near import Near
 from schemas.messages import Judgement, Status, ThreadObservations
 from shared.both_eyes import of_both
 from shared.images import decode_image

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from agents.planner.attempt import Attempt, next_attempt, same_attempt
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
+from agents.planner.learning import Attempt, next_attempt, same_attempt
 from agents.planner.needle import NeedleAround, needle_around
 from agents.planner.plan import plan_grasp
 from agents.planner.refusal import RefusedGoalError, clock_unknown, planned_from, surface_unusable

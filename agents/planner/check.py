@@ -36,8 +36,8 @@ from jaxtyping import Bool, Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, curve_of
-from agents.planner.errors import UNIFORM_BALL, thread_covariance
 from agents.planner.moved import BESIDE_M, DEEP_M, Elsewhere, Motion, motion
+from agents.planner.wedge import UNIFORM_BALL, thread_covariance
 from schemas.messages import Checked, GraspPlan, Phase, Status, ThreadAround, ThreadReconstruction
 from shared.kinematics.psm import FINGER_M
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from agents.planner.captures import ArmView, Captures, way_of
-from agents.planner.choice import Choice
+from agents.planner.captures import ArmView, Captures, Choice, way_of
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import ThreadCurve
 from agents.planner.entanglement import thread_clearance

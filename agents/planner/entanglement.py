@@ -14,7 +14,7 @@ from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import ThreadCurve
-from agents.planner.instrument import Capsules, clearances, instrument_at
+from agents.planner.jaws import Capsules, clearances, instrument_at
 from agents.planner.needle import NeedleAround
 from schemas.messages import Phase, ThreadClearance, Waypoint
 

@@ -3,15 +3,14 @@
 import numpy as np
 
 from agents.planner.aside import NOWHERE, aside_of, with_aside
-from agents.planner.attempt import Attempt, first_attempt, offset_for, plan_id
-from agents.planner.captures import ArmView, Captures, least_pressed
+from agents.planner.captures import ArmView, Captures, Choice, best_choice, least_pressed
 from agents.planner.chances import PAPER, Known, known_along
 from agents.planner.check import SAMPLES_BEFORE, around
-from agents.planner.choice import Choice, best_choice
 from agents.planner.clear_way import clear_way
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, ThreadCurve, curve_of
 from agents.planner.goal import goal_on_thread
+from agents.planner.learning import Attempt, first_attempt, offset_for, plan_id
 from agents.planner.needle import NeedleAround
 from agents.planner.places import asked_of, places_along
 from agents.planner.policy import Against, alternatives, candidates, counted_reasons, reason_of

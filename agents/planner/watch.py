@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.planner.attempt import next_attempt, plan_id
 from agents.planner.check import Seen, around, checked
 from agents.planner.config import PlannerConfig
+from agents.planner.learning import next_attempt, plan_id
 from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspCheck, GraspGoal, GraspPlan, Status
 from schemas.messages import ThreadReconstruction as Thread
 

@@ -1,22 +1,120 @@
-"""A shorter recording out of a longer one: to show a moment to somebody, to keep what matters, to test with it."""
+"""A shorter recording out of a longer one: to show a moment to somebody, to keep what matters, to test with it.
+
+Files that are made of recordings: they open as a recorder's own do, and say what was done to them.
+
+What every file of a recording begins with, so that each can be read by itself.
+"""
 
 import contextlib
-from collections import Counter
-from collections.abc import Iterator, Set
-from dataclasses import dataclass, replace
+import mimetypes
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from agents.recorder.derived_file import DerivedFile, derived_from
+import schemas
+from agents.recorder.foxglove import FoxgloveCopies
 from schemas.checks import MessageError, fields_of
 from schemas.codec import decode
-from schemas.messages import CommandRecord, GraspGoal, GraspPlan
-from schemas.topics import COMMANDS, FRAMES, GOAL, PLAN, Delivery, is_known, topic_of
+from schemas.messages import AgentHealth, CommandRecord, GraspGoal, GraspPlan, StereoCalibration
+from schemas.topics import (
+    CALIBRATION,
+    COMMANDS,
+    EXECUTION,
+    FRAMES,
+    GOAL,
+    HEALTH,
+    PLAN,
+    ROBOT_STATE,
+    SIMULATOR_STATE,
+    Delivery,
+    Topic,
+    is_known,
+    topic_of,
+)
+from shared.calibration.own_file import calibration_text
+from shared.calibration.stated import CalibrationError
 from shared.recording.completeness import Completeness, completeness
-from shared.recording.derivation import BEFORE_AND_AFTER, UNKNOWN_TOPICS, UNUSED_FRAMES
+from shared.recording.derivation import (
+    BEFORE_AND_AFTER,
+    BEGUN,
+    DERIVED,
+    UNKNOWN_TOPICS,
+    UNUSED_FRAMES,
+    Derivation,
+    as_far_as_held,
+    digest_of,
+    unfinished_of,
+)
 from shared.recording.entry import Entry, Note, RecordingError
-from shared.recording.losses import AT, LOST, counts_of
-from shared.recording.mcap_file import UntilDamage, read_attachments
+from shared.recording.foxglove_schemas import DESCRIPTORS
+from shared.recording.losses import AT, COMPLETE, LOSSES, LOST, counts_of
+from shared.recording.mcap_file import UntilDamage, read_attachments, recorded_by
+from shared.recording.writer import RecordingWriter
+
+
+class DerivedFile:
+    """Writes a derived recording, with the copies that other programs show.
+
+    Raises:
+        OSError: where it cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._writer, self._copies = RecordingWriter(path), FoxgloveCopies()
+        self._notes, self._held = list[Note](), defaultdict[str, list[int]](list)
+
+    def write(self, topic: Topic, entry: Entry) -> None:
+        """Add a message."""
+        self._writer.write(topic, entry)
+        if not entry.repeated:
+            self._held[entry.key].append(entry.received_ns)
+        for copy in self._copies.of(topic, entry):
+            self._writer.write_derived(copy.channel, copy.schema, DESCRIPTORS, copy.payload, entry)
+
+    def begin(self, derivation: Derivation, attached: Mapping[str, bytes]) -> None:
+        """Say what the file is made of, as far as that is known, for one that is cut off before its end."""
+        for name, data in attached.items():
+            self._writer.attach(name, mimetypes.guess_type(name)[0] or "application/octet-stream", data, 0)
+        self._writer.note(BEGUN, derivation.note.facts)
+
+    def note(self, note: Note) -> None:
+        """Add a note of the source; what sums up the source is left to `close`.
+
+        So is how many of its messages an agent that ran anew has made; meanwhile the source's derivation is begun.
+        """
+        if note.name != LOSSES:
+            self._notes.append(note)
+            self._writer.note(BEGUN if note.name == DERIVED else note.name, note.facts)
+
+    def close(self, derivation: Derivation, complete: bool | None, lost: Mapping[str, int]) -> None:
+        """Say what the file was made of and what it lacks, and finish it.
+
+        A source that was cut off has only said at its beginning what it was made of.
+        """
+        told = [note for note in self._notes if note.name == DERIVED]
+        for note in (*told, *unfinished_of(self._notes)):
+            self._writer.note(DERIVED, as_far_as_held(note, self._held).facts)
+        self._writer.note(DERIVED, derivation.note.facts)
+        known = {} if complete is None else {COMPLETE: str(complete and not lost)}
+        self._writer.note(LOSSES, {key: str(count) for key, count in lost.items()} | known)
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        self._writer.abandon()
+
+
+def derived_from(source: Path, said: Completeness, how: str, **told: Any) -> Derivation:
+    """How a file is derived from another, as that is now.
+
+    Raises:
+        RecordingError, OSError: as `read_recording`.
+    """
+    version = ".".join(map(str, recorded_by(source)))
+    read_as = "" if version == schemas.__version__ else version
+    return Derivation(how, source.name, digest_of(source), said.sentence, read_as=read_as, **told)
 
 
 @dataclass(frozen=True)
@@ -171,3 +269,61 @@ def _goal_in(record: CommandRecord) -> tuple[str, ...]:
 
 def _place(entry: Entry) -> _Place:
     return _Place(entry.key, entry.epoch, entry.sequence)
+
+
+REPEATED = (CALIBRATION, ROBOT_STATE, SIMULATOR_STATE, PLAN, EXECUTION)
+"""Of these the newest message of each key is repeated: without it, what follows cannot be understood."""
+CALIBRATION_FILE = "calibration.json"
+AGENT = "agent"
+"""A note of each agent that is heard of: its host, version and configuration."""
+
+
+@dataclass(frozen=True)
+class Attached:
+    """A file that belongs to a recording."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+@dataclass
+class Head:
+    """Notes and attachments by what they are about, and the newest messages of what lasts."""
+
+    notes: dict[str, Note] = field(default_factory=dict[str, Note])
+    attached: dict[str, Attached] = field(default_factory=dict[str, Attached])
+    entries: dict[str, tuple[Topic, Entry]] = field(default_factory=dict[str, tuple[Topic, Entry]])
+
+    def copy(self) -> "Head":
+        """One that goes its own way from here."""
+        return Head(dict(self.notes), dict(self.attached), dict(self.entries))
+
+    def follow(self, topic: Topic, entry: Entry) -> Note | Attached | None:
+        """Remember a message; what it adds to a file that has begun."""
+        if topic in REPEATED:
+            self.entries[entry.key] = (topic, entry)
+        if topic is CALIBRATION:
+            return self._attach_calibration(entry)
+        if topic is HEALTH and f"{entry.key} {entry.epoch}" not in self.notes:
+            return self._note_agent(entry)
+        return None
+
+    def _attach_calibration(self, entry: Entry) -> Attached | None:
+        try:
+            text = calibration_text(decode(StereoCalibration, entry.payload), entry.key)
+        except (MessageError, CalibrationError):
+            return None
+        attached = Attached(CALIBRATION_FILE, "application/json", text.encode())
+        self.attached[CALIBRATION_FILE] = attached
+        return attached
+
+    def _note_agent(self, entry: Entry) -> Note | None:
+        try:
+            health = decode(AgentHealth, entry.payload)
+        except MessageError:
+            return None
+        facts = {name: str(getattr(health, name)) for name in ("agent", "instance", "host", "version", "config_hash")}
+        note = Note(AGENT, {**facts, "epoch": str(entry.epoch), "key": entry.key})
+        self.notes[f"{entry.key} {entry.epoch}"] = note
+        return note

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from agents.recorder.cutting import Attached, Head
 from agents.recorder.foxglove import FoxgloveCopies
-from agents.recorder.head import Attached, Head
 from schemas.topics import Topic
 from shared.recording.entry import Entry, Note
 from shared.recording.foxglove_schemas import DESCRIPTORS

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.recorder.head import Head
+from agents.recorder.cutting import Head
 from agents.recorder.parts import FileSettings, Parts, Tally
 from schemas.checks import MessageError
 from schemas.codec import decode

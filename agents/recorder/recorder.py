@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
 
-from agents.recorder.disk import DiskGuard
-from agents.recorder.head import Attached, Head
-from agents.recorder.intake import QUEUE_LIMIT, Intake, Waiting
+from agents.recorder.cutting import Attached, Head
+from agents.recorder.intake import QUEUE_LIMIT, DiskGuard, Intake, Waiting
 from agents.recorder.parts import FileSettings, Parts, Tally
 from agents.recorder.pre_trigger import PreTrigger, PreTriggerSettings
 from schemas.topics import Topic

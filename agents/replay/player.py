@@ -1,4 +1,11 @@
-"""Plays a recording: sends each message when its moment has come, or as fast as consumers take it."""
+"""Plays a recording: sends each message when its moment has come, or as fast as consumers take it.
+
+What whoever sits before a replay may do: hold it, let it go on, step to the next frame, end it.
+
+Which moment of a recording it is now, and when another one is due.
+
+The recording's time t goes on at a rate r with this machine's s: t = t0 + r (s − s0). While held, r is 0.
+"""
 
 import threading
 from array import array
@@ -9,15 +16,115 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from agents.replay.compare import Item, Message, ReadAhead
 from agents.replay.contents import PastCommand
-from agents.replay.controls import Controls
-from agents.replay.flow import Flow
-from agents.replay.items import Item, Message, ReadAhead
-from agents.replay.spacing import Spacing, spacing_errors_ms, spacing_of
-from agents.replay.timeline import Timeline
+from agents.replay.flow import Flow, Spacing, spacing_errors_ms, spacing_of
 from schemas.messages import CommandAnswer
 from schemas.topics import Topic
 from shared.clock import monotonic_s
+
+
+class Controls:
+    """Shared between the thread that plays and those that listen to people and signals."""
+
+    def __init__(self, held: bool = False) -> None:
+        self._condition = threading.Condition()
+        self._held, self._steps = held, 0
+        self._stopped = self._leaving = False
+
+    def toggle(self) -> None:
+        """Hold, or go on."""
+        with self._condition:
+            self._held, self._steps = not (self._held and self._steps == 0), 0
+            self._condition.notify_all()
+
+    def step(self) -> None:
+        """Go on until one more frame has been sent, then hold."""
+        with self._condition:
+            self._held = True
+            self._steps += 1
+            self._condition.notify_all()
+
+    def stop(self) -> None:
+        """End the replay."""
+        with self._condition:
+            self._stopped = True
+            self._condition.notify_all()
+
+    def stop_when_done(self) -> None:
+        """End the replay after the steps that are still to be done."""
+        with self._condition:
+            self._leaving = True
+            self._stopped = self._stopped or self._steps == 0
+            self._condition.notify_all()
+
+    def step_done(self) -> None:
+        """A frame was sent: one step is done."""
+        with self._condition:
+            self._steps = max(0, self._steps - 1)
+            self._stopped = self._stopped or (self._leaving and self._steps == 0)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the replay is to end."""
+        return self._stopped
+
+    @property
+    def held(self) -> bool:
+        """Whether nothing is to be sent now."""
+        return self._held and self._steps == 0
+
+    def wait(self, seconds: float | None) -> None:
+        """Until somebody does something, or so many seconds have passed."""
+        with self._condition:
+            if not self._stopped:
+                self._condition.wait(seconds)
+
+
+class Timeline:
+    """The recording's time, in nanoseconds, by seconds of a clock that never jumps; any thread may ask."""
+
+    def __init__(self, rate: float) -> None:
+        """Stand at no moment yet; `rate` holds while not held, and is 0 where only jumps pass time."""
+        self._lock = threading.Lock()
+        self._rate, self._at_ns, self._since_s = rate, 0, 0.0
+        self._held = True
+
+    def jump(self, at_ns: int, now_s: float) -> None:
+        """It is that moment now."""
+        with self._lock:
+            self._at_ns, self._since_s = at_ns, now_s
+
+    def hold(self, now_s: float) -> bool:
+        """Let no time pass; whether it did before."""
+        with self._lock:
+            if self._held:
+                return False
+            self._at_ns, self._since_s, self._held = self._moment(now_s), now_s, True
+            return True
+
+    def go_on(self, now_s: float) -> bool:
+        """Let time pass from here; whether it was held before."""
+        with self._lock:
+            if not self._held:
+                return False
+            self._since_s, self._held = now_s, False
+            return True
+
+    def now(self, now_s: float) -> tuple[int, float]:
+        """Which moment it is, and at which rate it goes on."""
+        with self._lock:
+            return self._moment(now_s), 0.0 if self._held else self._rate
+
+    def due_s(self, at_ns: int) -> float:
+        """When a moment comes, if time is not held until then; rates above 0 only."""
+        with self._lock:
+            return self._since_s + (at_ns - self._at_ns) * 1e-9 / self._rate
+
+    def _moment(self, now_s: float) -> int:
+        gone_s = 0.0 if self._held else max(0.0, now_s - self._since_s)
+        return self._at_ns + round(gone_s * self._rate * 1e9)
+
 
 TELL_PERIOD_S = 0.05
 """How often the replay's time is told; in between it goes on by itself."""

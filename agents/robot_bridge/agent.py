@@ -15,11 +15,18 @@ from agents.robot_bridge.backend import ArmState, Backend
 from agents.robot_bridge.config import RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.execution import Execution, Patience
 from agents.robot_bridge.motion import Trajectory, contact_joints, left_of, plan_motion
-from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely, wrong_frame
-from agents.robot_bridge.presence import Challenges
-from agents.robot_bridge.refusals import REPLAYED, UNMEASURED, Code, Refusal, other_arm
-from agents.robot_bridge.sight import Sight, too_old
-from agents.robot_bridge.standing import Standing
+from agents.robot_bridge.plans import (
+    CLOCK_TOLERANCE_S,
+    REPLAYED,
+    UNMEASURED,
+    Code,
+    Plans,
+    Refusal,
+    other_arm,
+    untimely,
+    wrong_frame,
+)
+from agents.robot_bridge.standing import Challenges, Sight, Standing, too_old
 from agents.robot_bridge.state_changes import StateChanges
 from agents.robot_bridge.telling import accepted, event_of, mode_of, refused, robot_state
 from schemas.messages import (

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float64
 
-from agents.robot_bridge.refusals import Code
+from agents.robot_bridge.plans import Code
 from schemas.messages import StateWord
 from shared.kinematics.arm import ArmKinematics
 

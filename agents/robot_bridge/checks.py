@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float64
 
 from agents.robot_bridge.limits import MotionLimits, Setup
 from agents.robot_bridge.path import Poses
-from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.plans import Code, Refusal
 from shared.kinematics.arm import ArmKinematics, Problem
 from shared.rigid_transforms import apply, inverse, log_so3, orthonormality_error
 

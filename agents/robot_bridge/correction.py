@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from agents.robot_bridge.plans import CLOCK_TOLERANCE_S
-from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Code, Refusal
 from schemas.messages import ToolCorrection, ToolStatus
 from shared.rigid_transforms import angle_between, apply, inverse, nearest_rotation
 

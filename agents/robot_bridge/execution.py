@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState
 from agents.robot_bridge.motion import Trajectory, contact_joints, segment_end
-from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.plans import Code, Refusal
 from schemas.messages import Arm, GraspPlan, Phase
 from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import angle_between

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState, Backend, Readiness
-from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.plans import Code, Refusal
 
 STILL = np.array([2e-3, 2e-3, 2e-4, 2e-3, 2e-3, 2e-3, 2e-3])
 """An arm whose joints (rad, the third m) and jaw are this near to where they were a while ago has not moved."""

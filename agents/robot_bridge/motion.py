@@ -18,7 +18,7 @@ from jaxtyping import Float64
 from agents.robot_bridge.checks import excess_speed, joints_of, start_refusal, waypoint_refusal
 from agents.robot_bridge.limits import Setup
 from agents.robot_bridge.path import Poses, smooth_path
-from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.plans import Code, Refusal
 from agents.robot_bridge.tissue import tissue_refusal
 from schemas.messages import Phase, Waypoint
 from shared.rigid_transforms import angle_between, inverse

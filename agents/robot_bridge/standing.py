@@ -1,15 +1,30 @@
-"""How an arm stands: where it was measured, where its base is, what is around it, and why it must not be moved."""
+"""How an arm stands: where it was measured, where its base is, what is around it, and why it must not be moved.
+
+How old the newest camera frame is, by the bridge's clock: a motion must not go on where nobody sees it.
+
+Frames echo the bridge's challenges (presence.py). A frame that echoes a challenge was taken after that was issued, so
+the time since then bounds its age, and a queue that is as long all the time cannot make an old frame pass for a new
+one. A camera that tells no frames at all is an older recording's, or a simulated arm's without one: nothing is known
+then, which speaks against moving a real arm alone.
+
+Whether somebody stands by, by challenge and answer: who acts asks, by its own clock.
+
+The bridge's challenge is the time at which it issued it, told with its state. An answer echoes it, so it is as young as
+the challenge: what a queue held back for three seconds tells that somebody was there three seconds ago. No clock but
+the bridge's own counts, which does not jump while an arm is armed (shared/runtime/clocks.py).
+"""
 
 import dataclasses
 import logging
+from collections import deque
 
 from agents.robot_bridge.backend import ArmState, Backend
 from agents.robot_bridge.config import RobotBridgeConfig
 from agents.robot_bridge.correction import Correcting
 from agents.robot_bridge.limits import Setup
 from agents.robot_bridge.measuring import Measuring
-from agents.robot_bridge.refusals import Code, Refusal
-from schemas.messages import GraspPlan, TissueSurface, ToolCorrection
+from agents.robot_bridge.plans import Code, Refusal
+from schemas.messages import FrameStamp, GraspPlan, TissueSurface, ToolCorrection
 
 DAY_NS = 86_400_000_000_000
 
@@ -118,3 +133,74 @@ class Standing:
     def _still_since_ns(self) -> int:
         arm = self.measured.state
         return 0 if arm is None else arm.still_since_ns
+
+
+class Sight:
+    """What one arm's bridge has been told of frames."""
+
+    def __init__(self, arm: str, is_real: bool) -> None:
+        self._arm, self._is_real = arm, is_real
+        self._newest: FrameStamp | None = None
+
+    def hear(self, stamp: FrameStamp) -> None:
+        """A frame was taken."""
+        self._newest = stamp
+
+    def refusal(self, now_ns: int, maximum_age_s: float) -> Refusal | None:
+        """Why nobody may be moved by what the camera shows; None where it is new enough."""
+        if self._newest is None:
+            silent = "no camera has told of a frame yet: see that the camera runs, and that it is of this version"
+            return Refusal(Code.FRAME_AGE, silent) if self._is_real else None
+        return too_old(self._newest, self._arm, self._is_real, now_ns, maximum_age_s, "the newest camera frame")
+
+
+def too_old(stamp: FrameStamp, arm: str, is_real: bool, now_ns: int, maximum_age_s: float, what: str) -> Refusal | None:
+    """Why a frame is too old to be moved by; None where it is not. Without an echo its own clock is believed."""
+    echo_ns = stamp.echo_of(arm)
+    if echo_ns == 0 and is_real:
+        blind = f"{what} echoes no challenge of {arm}, so that nobody knows how old it is"
+        return Refusal(Code.FRAME_AGE, f"{blind}: see that the camera's agent hears the bridge of {arm}")
+    since_ns = echo_ns or min(stamp.capture_left_ns, stamp.capture_right_ns)
+    age_s = (now_ns - since_ns) * 1e-9
+    if echo_ns and age_s < 0:
+        return Refusal(
+            Code.FRAME_AGE, f"{what} echoes a challenge of before the bridge's clock was set: wait for another"
+        )
+    if age_s <= maximum_age_s:
+        return None
+    old = f"{what} is {age_s:.1f} s old, and {maximum_age_s:g} s are allowed"
+    return Refusal(Code.FRAME_AGE, f"{old}: see to the camera and its link, then plan again")
+
+
+KEPT_NS = 10_000_000_000
+"""An answer that comes later than that is told to be older than this."""
+
+
+class Challenges:
+    """What one bridge has issued."""
+
+    def __init__(self) -> None:
+        self._issued: deque[int] = deque()
+
+    def issue(self, now_ns: int) -> int:
+        """The next challenge. Where the clock was set back, nothing of before counts any more."""
+        if self._issued and now_ns <= self._issued[-1]:
+            self._issued.clear()
+        self._issued.append(now_ns)
+        while now_ns - self._issued[0] > KEPT_NS:
+            self._issued.popleft()
+        return now_ns
+
+    def age_ns(self, challenge_ns: int, now_ns: int) -> int | None:
+        """How long ago it was issued; None for what never was, or too long ago to be known."""
+        return now_ns - challenge_ns if challenge_ns in self._issued else None
+
+    def behind_ns(self, challenge_ns: int, now_ns: int) -> int | None:
+        """For how long a newer one has been out: how far its sender is behind, however seldom challenges are issued.
+
+        0 for the newest, None as for `age_ns`.
+        """
+        if challenge_ns not in self._issued:
+            return None
+        newer = next((issued_ns for issued_ns in self._issued if issued_ns > challenge_ns), now_ns)
+        return now_ns - newer

@@ -1,7 +1,7 @@
 """What a bridge tells: its arm's state, events of a plan, and answers."""
 
 from agents.robot_bridge.backend import ArmState, Readiness
-from agents.robot_bridge.refusals import Refusal
+from agents.robot_bridge.plans import Refusal
 from agents.robot_bridge.standing import Standing
 from schemas.messages import (
     CommandAnswer,

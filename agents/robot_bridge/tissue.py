@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64
 
 from agents.robot_bridge.limits import MotionLimits
 from agents.robot_bridge.path import Poses
-from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.plans import Code, Refusal
 from schemas.messages import TissueSurface
 from shared.camera import backproject
 from shared.kinematics.psm import FINGER_M

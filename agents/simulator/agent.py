@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.simulator.contact.physics import ContactPhysics
-from agents.simulator.errors import ToolError, hand_eye_error, tool_error
 from agents.simulator.field import MM, Field, distance_to_thread, field_of, s_of
-from agents.simulator.geometric import GeometricPhysics
-from agents.simulator.outcome import MeasuredArm, Outcome, Physics
+from agents.simulator.judgement import MeasuredArm, Outcome, Physics
+from agents.simulator.world import GeometricPhysics, ToolError, hand_eye_error, tool_error
 from schemas.messages import (
     CommandAnswer,
     ExecutionEvent,

@@ -1,15 +1,33 @@
-"""The field and the arms in it: which jaw holds the thread, and where it has taken it."""
+"""The field and the arms in it: which jaw holds the thread, and where it has taken it.
 
+Grasps by geometry alone: fast, and validated against contact physics (docs/simulator.md).
+
+How far tools are from where they are measured: by hand-eye calibration for good, and anew for each plan.
+"""
+
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.spatial.transform import Rotation
 
-from agents.simulator.field import Field, carried, settled
-from agents.simulator.judgement import Grip, first_grip, followed, touching_rad
+from agents.simulator.field import MM, Field, carried, s_of, settled
+from agents.simulator.judgement import (
+    Grip,
+    MeasuredArm,
+    Outcome,
+    code,
+    first_grip,
+    followed,
+    never_closed,
+    sentence,
+    slid_m,
+    touching_rad,
+)
 from schemas.messages import Verdict
-from shared.rigid_transforms import apply, inverse
+from shared.rigid_transforms import apply, inverse, transform
 
 LET_GO_RAD = 0.05
 """So far above the opening at which they touched the thread, the fingers have let go of it."""
@@ -121,3 +139,76 @@ def _taken_over(world: World, name: str) -> World:
     assert arm.hold is not None  # noqa: S101 - holders hold
     point_tool = apply(inverse(arm.T_camera_tool), world.field.points[[arm.hold.sample]])[0]
     return with_arm(world, name, replace(arm, hold=replace(arm.hold, point_tool=point_tool)))
+
+
+class GeometricPhysics:
+    """A thread that goes where a jaw takes it, and is caught where it runs between the fingers as they close."""
+
+    def __init__(self, field: Field) -> None:
+        self._drawn = field
+        self.lay()
+
+    @property
+    def field(self) -> Field:
+        """The field as it is."""
+        return self._world.field
+
+    @property
+    def held_sample(self) -> int | None:
+        """Which sample of the thread the jaw that leads it holds, None where none does."""
+        return held_sample(self._world)
+
+    def lay(self) -> None:
+        """Lay the thread as it was drawn; arms are followed from where they are seen next."""
+        self._world = World(self._drawn, self._drawn, {})
+
+    def follow(self, arm: MeasuredArm) -> Outcome:
+        """What becomes of the arm's grasp when it has been measured there."""
+        self._world = moved(self._world, arm.name, arm.plan_id, arm.T_camera_tool, arm.jaw_rad)
+        grip = self._world.arms[arm.name].grip
+        return _outcome(grip, self._world.field) if grip.verdict else _outcome(never_closed(grip), self.field, False)
+
+    def carry(self) -> None:
+        """Have the thread follow the jaw that leads it."""
+        self._world = thread_carried(self._world)
+
+
+def _outcome(grip: Grip, field: Field, settled: bool = True) -> Outcome:
+    verdict = grip.verdict or Verdict.MISSED
+    caught = grip.sample if verdict is Verdict.HELD else None
+    s_caught = None if caught is None else s_of(caught)
+    return Outcome(settled, verdict, code(grip), sentence(grip, field), s_caught, slid_m(grip, field))
+
+
+_HAND_EYE = 77
+"""Keeps this draw apart from those for plans."""
+
+
+@dataclass(frozen=True)
+class ToolError:
+    """How far an arm's tool is from where it is measured, while it carries out its n-th plan."""
+
+    plan_id: str
+    plans: int
+    offset_camera: Float64[np.ndarray, "3"]
+
+
+def hand_eye_error(
+    seed: int, arm: str, most_mm: float, most_deg: float, about_camera: Float64[np.ndarray, "3"]
+) -> Float64[np.ndarray, "4 4"]:
+    """What takes measured poses of an arm's tool to the true ones, in the camera's frame.
+
+    A shift of 0 to `most_mm` and a turn of 0 to `most_deg` about a point, each evenly drawn and in any direction.
+    """
+    rng = np.random.default_rng([seed, zlib.crc32(arm.encode()), _HAND_EYE, _HAND_EYE])
+    ways = rng.normal(size=(2, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    shift_m, turn_rad = rng.uniform(0.0, (MM * most_mm, np.radians(most_deg)))
+    R = Rotation.from_rotvec(turn_rad * ways[1]).as_matrix()
+    return transform(R, about_camera - R @ about_camera + shift_m * ways[0])
+
+
+def tool_error(seed: int, arm: str, plan_id: str, plans: int, deviation_mm: float) -> ToolError:
+    """The error of an arm's tool in its next plan, after so many."""
+    rng = np.random.default_rng([seed, zlib.crc32(arm.encode()), plans])
+    return ToolError(plan_id, plans + 1, rng.normal(0.0, MM * deviation_mm, 3))

@@ -7,11 +7,11 @@ searched for, by the frames' own time; what that costs is told in docs/tool_trac
 from collections.abc import Iterable
 
 from agents.tool_tracker import ToolTrackerConfig
-from agents.tool_tracker.acquisition import soft_pair
-from agents.tool_tracker.placed import Placed, in_metres, placed_at
 from agents.tool_tracker.refinement import View
+from agents.tool_tracker.search import soft_pair
 from agents.tool_tracker.told import told_of, track_of
 from agents.tool_tracker.track import begun, followed, missed
+from agents.tool_tracker.tubes import Placed, in_metres, placed_at
 from schemas.messages import RobotState, StereoCalibration, StereoFrame, ToolCorrection, ToolStatus
 from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, TOOL
 from shared.calibration.identity import calibration_id

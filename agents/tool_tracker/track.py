@@ -16,11 +16,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.tool_tracker.acquisition import Begin, Soft, acquired, looking, prior
 from agents.tool_tracker.correction import Correction
 from agents.tool_tracker.evidence import SHRINK, Table, learnt
 from agents.tool_tracker.outline import silhouette
 from agents.tool_tracker.refinement import LARGEST_SHIFT, Refined, View, elsewhere, refined
+from agents.tool_tracker.search import Begin, Soft, acquired, looking, prior
 
 PRIOR_M, PRIOR_RAD = 0.006, 0.045
 """Deviation of each axis before anything was seen: what registrations promise (5 to 10 mm), and 2.6 degrees."""

@@ -1,9 +1,15 @@
-"""This project's own calibration file: JSON that the reader of named matrices reads back to the last digit."""
+"""This project's own calibration file: JSON that the reader of named matrices reads back to the last digit.
+
+A calibration in the forms that others read: OpenCV's FileStorage and two camera_info of ROS.
+"""
 
 import json
 from pathlib import Path
 
+import numpy as np
+
 from schemas.messages import StereoCalibration
+from shared.calibration.estimation.checking import rectifying
 from shared.calibration.made import MADE, made_text
 from shared.calibration.stated import CalibrationError
 from shared.units import METRES_PER_UNIT, unit_name
@@ -48,3 +54,67 @@ def calibration_text(calibration: StereoCalibration, name: str, made_ns: int | N
     content |= {} if made_ns is None else {MADE: made_text(made_ns)}
     lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in content.items())
     return f"{{\n{lines}\n}}\n"
+
+
+def opencv_text(calibration: StereoCalibration, made_ns: int | None = None) -> str:
+    """YAML as FileStorage writes it, with the names of OpenCV's stereo sample, and the unit and when it was made beside
+    them.
+    """
+    unit = unit_name(calibration.metres_per_unit)
+    matrices = {
+        "K1": calibration.K_left,
+        "D1": calibration.distortion_left[None],
+        "K2": calibration.K_right,
+        "D2": calibration.distortion_right[None],
+        "R": calibration.T_right_left[:3, :3],
+        "T": calibration.T_right_left[:3, 3:],
+    }
+    lines = ["%YAML:1.0", "---", f"image_width: {calibration.image_width}", f"image_height: {calibration.image_height}"]
+    lines += [f"unit: {unit}"] if unit else []
+    lines += [] if made_ns is None else [f'{MADE}: "{made_text(made_ns)}"']
+    for name, value in matrices.items():
+        lines += [f"{name}: !!opencv-matrix", f"   rows: {value.shape[0]}", f"   cols: {value.shape[1]}", "   dt: d"]
+        lines.append(f"   data: {_numbers(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def camera_info_texts(calibration: StereoCalibration) -> tuple[str, str]:
+    """The left and the right camera_info, as camera_calibration of ROS saves them; lengths in metres.
+
+    Raises:
+        CalibrationError: where the calibration has no unit, since ROS knows metres alone.
+    """
+    if calibration.metres_per_unit is None:
+        raise CalibrationError("ROS counts in metres, and the calibration's unit is unknown; name it with --unit")
+    R_l, R_r, P_l, P_r = rectifying(calibration)
+    P_r = P_r.copy()
+    P_r[0, 3] *= calibration.metres_per_unit
+    left = _camera_info(calibration, "left", calibration.K_left, calibration.distortion_left, R_l, P_l)
+    return left, _camera_info(calibration, "right", calibration.K_right, calibration.distortion_right, R_r, P_r)
+
+
+def _camera_info(
+    calibration: StereoCalibration, side: str, K: np.ndarray, distortion: np.ndarray, R: np.ndarray, P: np.ndarray
+) -> str:
+    lines = [f"image_width: {calibration.image_width}", f"image_height: {calibration.image_height}"]
+    lens = distortion if len(distortion) else np.zeros(5)
+    lines += [f"camera_name: {side}", f"distortion_model: {'plumb_bob' if len(lens) <= 5 else 'rational_polynomial'}"]
+    for name, value in (
+        ("camera_matrix", K),
+        ("distortion_coefficients", lens[None]),
+        ("rectification_matrix", R),
+        ("projection_matrix", P),
+    ):
+        lines += [f"{name}:", f"  rows: {value.shape[0]}", f"  cols: {value.shape[1]}", f"  data: {_numbers(value)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(value: np.ndarray) -> str:
+    """Every digit of each number, always with a point, which YAML 1.1 wants to see in a number with an exponent."""
+    return f"[{', '.join(_number(float(number)) for number in value.ravel())}]"
+
+
+def _number(number: float) -> str:
+    text = repr(number)
+    mantissa, _, exponent = text.partition("e")
+    return f"{mantissa}{'' if '.' in mantissa else '.0'}{f'e{exponent}' if exponent else ''}"

@@ -10,7 +10,7 @@ from schemas.messages import Judgement, StereoCalibration
 from shared.calibration.documents import Document
 from shared.calibration.formats import stated_calibration
 from shared.calibration.judge import judgements, repaired_rotation
-from shared.calibration.pixel_convention import counted_from_centres
+from shared.calibration.named_matrices import counted_from_centres
 from shared.calibration.ros_camera_info import camera_info, ros_pair
 from shared.calibration.stated import CalibrationError, OtherSizeError, StatedCalibration
 from shared.rigid_transforms import transform

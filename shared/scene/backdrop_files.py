@@ -1,4 +1,7 @@
-"""A field without thread on disk, for the light renderer to lay threads over: images of both eyes, and the surface."""
+"""A field without thread on disk, for the light renderer to lay threads over: images of both eyes, and the surface.
+
+What lies behind a thread, as both cameras see it.
+"""
 
 import json
 from dataclasses import dataclass
@@ -6,11 +9,41 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
 from schemas.messages import RectifiedStereo
-from shared.scene.backdrop import Backdrop, Light, SceneError
 from shared.scene.surface import Surface, meet_rays, ray_tangents
+
+
+class SceneError(ValueError):
+    """A scene that cannot be rendered: the text names what is wrong and what would do."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """A lamp beside the lens: where it is, in mm in the left camera's frame, and its share of the light."""
+
+    place_mm: tuple[float, float, float]
+    share: float
+
+
+@dataclass(frozen=True)
+class Backdrop:
+    """What lies behind the thread, seen by both cameras, without noise; depths in mm along each camera's axis.
+
+    Fields:
+        shadows: whether a thread casts any.
+        lights: those that cast them; none: the light renderer's own.
+    """
+
+    surface: Surface
+    left_bgr: UInt8[np.ndarray, "h w 3"]
+    right_bgr: UInt8[np.ndarray, "h w 3"]
+    depth_left_mm: Float32[np.ndarray, "h w"]
+    depth_right_mm: Float32[np.ndarray, "h w"]
+    shadows: bool
+    lights: tuple[Light, ...] = ()
+
 
 DOCUMENT, SURFACE, SIDES = "backdrop.json", "surface.npz", ("left", "right")
 QUALITY = 93

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
 from schemas.messages import RectifiedStereo
-from shared.scene.backdrop import Light
+from shared.scene.backdrop_files import Light
 from shared.scene.centreline import NEAR_MM, Centreline
 from shared.scene.surface import Surface, depth_at_points
 from shared.scene.tissue import light_positions

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from schemas.messages import RectifiedStereo
-from shared.scene.backdrop import Backdrop, SceneError
+from shared.scene.backdrop_files import Backdrop, SceneError
 from shared.scene.centreline import Thread, sample_centreline, shifted_to_right
 from shared.scene.compositing import cast_shadow, lay_over, shade_tube
 from shared.scene.rendered_fields import rendered_backdrop, rendered_surface

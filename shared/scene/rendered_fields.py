@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from schemas.messages import RectifiedStereo
-from shared.scene.backdrop import Backdrop, Light, SceneError
-from shared.scene.backdrop_files import StoredField, stored_field
+from shared.scene.backdrop_files import Backdrop, Light, SceneError, StoredField, stored_field
 from shared.scene.surface import Surface, depth_at_points, meet_rays, ray_tangents
 
 FIELDS = Path(__file__).with_name("fields")

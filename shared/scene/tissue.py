@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from schemas.messages import RectifiedStereo
-from shared.scene.random_fields import rough_field, smooth_field, smooth_step
-from shared.scene.surface import Surface, meet_rays, ray_tangents, sample_grid
+from shared.scene.surface import Surface, meet_rays, ray_tangents, rough_field, sample_grid, smooth_field, smooth_step
 
 RED, PALE, DARK = (0.070, 0.120, 0.46), (0.20, 0.29, 0.62), (0.025, 0.04, 0.22)
 FAT, ARTERY, VEIN = (0.18, 0.42, 0.58), (0.03, 0.03, 0.25), (0.07, 0.05, 0.16)

@@ -33,8 +33,8 @@ from schemas.topics import LOG
 from schemas.topics import key as topic_key
 from shared.calibration import read_calibration
 from shared.calibration.hand_eye.file import read_hand_eye
+from shared.calibration.own_file import opencv_text
 from shared.calibration.stated import CalibrationError
-from shared.calibration.written import opencv_text
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as BASE
 from shared.recording.entry import Entry, RecordingError
 from shared.recording.mcap_file import read_recording

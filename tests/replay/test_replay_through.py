@@ -20,7 +20,7 @@ from agents.cli.recordings.recompute import (
     run,
     write_recording,
 )
-from agents.cli.recordings.side_by_side import curves_of
+from agents.cli.recordings.recompute_report import curves_of
 from agents.configuration.rig import CameraSection, PerceptionSection, ReconstructionSection, simulated_rig
 from agents.perception.agent import Perception
 from agents.reconstruction.agent import Reconstruction

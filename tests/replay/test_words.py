@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-from agents.cli.recordings.difference_table import table
 from agents.cli.recordings.options import Recompute
 from agents.cli.recordings.recompute import replayed
-from agents.cli.recordings.recompute_report import report
+from agents.cli.recordings.recompute_report import report, table
 from agents.replay.differences import At, Compared, Comparison
 from schemas.topics import PLAN, THREAD
 

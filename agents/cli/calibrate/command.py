@@ -18,8 +18,8 @@ from shared.calibration.estimation.checking import Checked, checked, held_out
 from shared.calibration.estimation.coverage import coverage, lacking
 from shared.calibration.estimation.estimate import FEWEST_VIEWS, Estimate, estimated
 from shared.calibration.judge import judgements
+from shared.calibration.own_file import camera_info_texts, opencv_text
 from shared.calibration.uncertainty import FIELD_DEPTHS, bending, covariance_of, displacements
-from shared.calibration.written import camera_info_texts, opencv_text
 from shared.clock import now_ns
 from shared.rectification import rectification
 from shared.runtime.connection import connected

@@ -14,9 +14,7 @@ from schemas.codec import decode
 from schemas.messages import StereoFrame
 from schemas.topics import FRAMES
 from shared.calibration.estimation.board import Board
-from shared.calibration.estimation.collecting import why_not
-from shared.calibration.estimation.coverage import coverage, lacking
-from shared.calibration.estimation.views import NoView, View, view_of
+from shared.calibration.estimation.coverage import NoView, View, coverage, lacking, view_of, why_not
 from shared.images import ImageDataError, decode_image
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped

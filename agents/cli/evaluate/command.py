@@ -13,15 +13,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from agents.cli.alone import alone
 from agents.cli.evaluate.options import Evaluate
 from agents.cli.evaluate.pictures import field_pictures, moments, strip
-from agents.cli.evaluate.trials import Table
-from agents.cli.evaluate.workers import WorkError, all_tried
+from agents.cli.evaluate.trials import Table, WorkError, all_tried
 from agents.cli.recordings.recompute import write_recording
 from agents.cli.whole_file import whole_file
-from agents.evaluation.came import Came
-from agents.evaluation.document import document
 from agents.evaluation.journal import Journal
+from agents.evaluation.look import Came
 from agents.evaluation.protocol import Protocol, threads_of, trials_on
-from agents.evaluation.report import report
+from agents.evaluation.report import document, report
 from agents.evaluation.results import results_of
 from agents.evaluation.table import overview
 from agents.evaluation.trial import RIG

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 from agents.camera.sources import Pair
 from agents.cli.evaluate.scenes import scenery_of
 from agents.cli.evaluate.views import FieldView
-from agents.evaluation.came import Came
+from agents.evaluation.look import Came
 from agents.evaluation.protocol import Laid, Protocol, threads_of
 from agents.evaluation.report import Picture
 from schemas.codec import decode

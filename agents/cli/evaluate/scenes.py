@@ -23,8 +23,7 @@ from shared.scene.path_traced.ground import Ground
 from shared.scene.path_traced.placing import occluders
 from shared.scene.path_traced.recipe import Recipe, arranged
 from shared.scene.path_traced.solids import Solid
-from shared.scene.path_traced.splines import Curve
-from shared.scene.path_traced.strands import strand_of
+from shared.scene.path_traced.splines import Curve, strand_of
 from shared.scene.render import SceneError, surface_of
 from shared.scene.surface import Surface
 from shared.scene.thread_shapes import ShapeError

@@ -10,7 +10,7 @@ from agents.camera.scene_source import camera_in_mm
 from agents.camera.sources import Pair
 from agents.cli.evaluate.scenes import Scenery
 from schemas.messages import RobotState, SimulatorState
-from shared.scene.backdrop import Backdrop
+from shared.scene.backdrop_files import Backdrop
 from shared.scene.centreline import Thread
 from shared.scene.render import render_backdrop, render_thread
 from shared.scene.sensor import Sensor, expose, grain

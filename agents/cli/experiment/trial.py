@@ -9,7 +9,7 @@ from agents.cli.experiment.terminal import Attendant, LeftError, Person
 from agents.cli.live.command import POLICIES, event_sentence, plan_sentence
 from agents.experiment.journal import Attempt, Cause, Trial
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp
-from agents.robot_bridge.refusals import AGAINST_PLAN
+from agents.robot_bridge.plans import AGAINST_PLAN
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import (

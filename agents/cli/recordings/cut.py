@@ -4,7 +4,7 @@ from agents.cli.recordings.options import Cut
 from agents.cli.whole_file import OutputError, whole_file
 from agents.launch.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
 from agents.recorder.cutting import cut
-from agents.replay.window import WindowError, window_ns
+from agents.replay.contents import WindowError, window_ns
 from shared.recording.completeness import no_message_in
 from shared.recording.entry import Entry, RecordingError
 from shared.recording.mcap_file import UntilDamage

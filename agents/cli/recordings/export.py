@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from agents.cli.recordings.options import Export
-from agents.inspection.export import export
-from agents.inspection.export_files import FORMATS
+from agents.inspection.export import FORMATS, export
 from agents.launch.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
 from shared.recording.entry import RecordingError
 from shared.terminal import complain, say, warn

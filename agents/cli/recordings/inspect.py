@@ -9,12 +9,11 @@ from pathlib import Path
 from agents.cli.recordings.options import Inspect
 from agents.cli.whole_file import OutputError, whole_file
 from agents.inspection.comparison import comparison_tables
-from agents.inspection.document import document, names_of
+from agents.inspection.document import document, lines, names_of
 from agents.inspection.page import comparison_page, session_page
 from agents.inspection.pictures import pictures_of
 from agents.inspection.session import Session, read_session
 from agents.inspection.tables import head_lines, session_tables
-from agents.inspection.terminal_report import lines
 from agents.launch.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
 from shared.recording.entry import RecordingError
 from shared.terminal import complain, show, warn

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agents.launch.session_folder import free_path
-from agents.recorder.disk import DiskGuard
+from agents.recorder.intake import DiskGuard
 from agents.recorder.recorder import Recorder, RecordingReport
 from schemas.topics import Delivery, Topic
 from shared.recording.entry import Note

@@ -33,7 +33,7 @@ from agents.cli.whole_file import OutputError, whole_file
 from agents.configuration.rig import RigConfig
 from agents.launch.builders import build
 from agents.launch.process import EXIT_DAMAGED
-from agents.recorder.derived_file import DerivedFile, derived_from
+from agents.recorder.cutting import DerivedFile, derived_from
 from agents.registry import NAMES
 from agents.replay.differences import compared
 from agents.replay.through import Outcome, Stage, replay_through
@@ -300,7 +300,7 @@ def _write(path: Path, recording: Path, result: ThroughResult) -> None:
             _write_derived(unfinished, recording, result)
     else:
         # the viewer's mapping loads Rerun, which takes longer than many a replay
-        from agents.cli.recordings.side_by_side import write_side_by_side
+        from agents.cli.recordings.recompute_report import write_side_by_side
 
         with whole_file(path) as unfinished:
             write_side_by_side(unfinished, result.before, result.after, result.comparison)

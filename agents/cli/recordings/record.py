@@ -18,7 +18,7 @@ from agents.launch.around import telling, told_without
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.launch.session_folder import free_path
 from agents.launch.supervisor import SUPERVISED
-from agents.recorder.disk import DiskGuard
+from agents.recorder.intake import DiskGuard
 from agents.recorder.parts import FileSettings
 from agents.recorder.pre_trigger import PreTriggerSettings
 from agents.recorder.recorder import Recorder, RecorderSettings, RecordingReport

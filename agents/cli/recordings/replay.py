@@ -9,13 +9,20 @@ from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_keys import steered
 from agents.configuration.rig import RigConfig, simulated_rig
 from agents.launch.process import EXIT_DAMAGED, on_stop
-from agents.replay.contents import Contents, contents_of, readable
-from agents.replay.controls import Controls
+from agents.replay.compare import items
+from agents.replay.contents import (
+    Contents,
+    Selection,
+    SelectionError,
+    WindowError,
+    contents_of,
+    name_of,
+    readable,
+    select,
+    window_ns,
+)
 from agents.replay.flow import Flow, StuckError
-from agents.replay.items import items
-from agents.replay.player import Played, Player
-from agents.replay.selection import Selection, SelectionError, name_of, select
-from agents.replay.window import WindowError, window_ns
+from agents.replay.player import Controls, Played, Player
 from schemas.messages import Outcome
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness

@@ -12,7 +12,7 @@ import threading
 import tty
 from collections.abc import Generator
 
-from agents.replay.controls import Controls
+from agents.replay.player import Controls
 
 LOOK_S = 0.1
 

@@ -13,7 +13,7 @@ from agents.configuration.rig import RigConfig
 from agents.launch.around import telling, told_without
 from agents.launch.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
 from agents.launch.session_folder import free_path
-from agents.replay.window import WindowError, moment_ns
+from agents.replay.contents import WindowError, moment_ns
 from agents.viewer.live import LiveViewer, ViewerError, ViewerReport
 from agents.viewer.recorded import RecordedViewer, between
 from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD

@@ -14,10 +14,10 @@ from agents.cli.recordings.options import TrackTool
 from agents.cli.track_tool.input import Seen, seen_in, seen_live
 from agents.configuration.this_host import rig_of
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.tool_tracker.acquisition import soft_pair
 from agents.tool_tracker.correction import Correction
 from agents.tool_tracker.outline import outline
 from agents.tool_tracker.refinement import View
+from agents.tool_tracker.search import soft_pair
 from agents.tool_tracker.track import Following, Track, begun, followed
 from shared.calibration.made import MADE, made_text
 from shared.kinematics.psm import FINGER_M

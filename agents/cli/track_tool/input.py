@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.tool_tracker.placed import BRACKET_NS, Placed, in_metres, placed_at
+from agents.tool_tracker.tubes import BRACKET_NS, Placed, in_metres, placed_at
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RectifiedStereo, RobotState, StereoCalibration, StereoFrame

@@ -25,7 +25,7 @@ from shared.calibration import CalibrationError
 from shared.clock import now_ns
 from shared.runtime.config import ConfigError
 from shared.runtime.identity import AUTHORITY_FILE, IdentityError, identity_in, validity_ns
-from shared.scene.backdrop import SceneError
+from shared.scene.backdrop_files import SceneError
 
 FIRST_SANE_NS = 1_700_000_000_000_000_000
 """The end of 2023: a clock before that was never set."""

@@ -12,7 +12,7 @@ from agents.diagnostics.status.gathered import ArmHeard, Gathered
 from agents.diagnostics.status.health_watch import SILENT_S, name_of, span_of
 from agents.diagnostics.status.tool import judge_tool
 from agents.diagnostics.status.wrong import Wrong, listed
-from agents.robot_bridge.refusals import Code
+from agents.robot_bridge.plans import Code
 from schemas.messages import AgentFacts, ExecutionKind, LogLevel, LogRecord, RobotMode
 from schemas.topics import HEALTH
 from shared.runtime.clocks import ClockOffset, by_host

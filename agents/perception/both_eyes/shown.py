@@ -9,8 +9,7 @@ from jaxtyping import Float32, Float64, UInt8
 
 from agents.perception.both_eyes.same_places import APART_PX, SamePlaces, between
 from agents.perception.centrelines.along import Pieces, blurred, gaussian
-from agents.perception.centrelines.profiles import sample
-from agents.perception.centrelines.straightened import (
+from agents.perception.centrelines.learned import (
     BEYOND_PX,
     GROUND_FROM_PX,
     LEAST_CONTRAST,
@@ -18,6 +17,7 @@ from agents.perception.centrelines.straightened import (
     reach_px,
     usual_width_px,
 )
+from agents.perception.centrelines.profiles import sample
 from schemas.messages import Centrelines
 
 Image = UInt8[np.ndarray, "h w 3"]

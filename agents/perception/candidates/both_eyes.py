@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from agents.perception.candidates.appearance import Looks, unlikeness
+from agents.perception.candidates.links import Looks, unlikeness
 from agents.perception.candidates.threads import Threads
 from schemas.messages import Centrelines
 from shared.disparities import Disparities

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
-from agents.perception.candidates.appearance import looks_of
 from agents.perception.candidates.both_eyes import ELSEWHERE, in_both_eyes
 from agents.perception.candidates.drawn import along, thinned, without
+from agents.perception.candidates.links import looks_of
 from agents.perception.candidates.others import ANOTHER, certainly_others
 from agents.perception.candidates.threads import Threads, lengths_px, pieces_of, threads_of
 from schemas.messages import Centrelines, ThreadCandidate

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from scipy.spatial import cKDTree
 
-from agents.perception.candidates.appearance import Looks, unlikeness
 from agents.perception.candidates.drawn import SPACING_PX
+from agents.perception.candidates.links import Looks, unlikeness
 from schemas.messages import ThreadCandidate
 from shared.occluded import hidden_ends
 

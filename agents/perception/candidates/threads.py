@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from agents.perception.candidates.appearance import Looks, looks_of, unlikeness
-from agents.perception.candidates.links import end_costs, linked, ways
+from agents.perception.candidates.links import Looks, end_costs, linked, looks_of, unlikeness, ways
 from schemas.messages import Centrelines
 
 MOST_PIECES = 40

@@ -4,6 +4,8 @@ Light from one side shifts what looks like the middle, and no single profile tel
 the network looks along the thread, and at all of it: what is lopsided about profiles, as far as it follows a direction
 in the image, is the light. With q the lopsided features of a point and n its normal, the A of q = A n by least squares
 is the light's part, and A n what light does at each point. docs/model_card.md says what the network has learned from.
+
+The thread straightened: what the image shows across points of a curve, in units that all threads share.
 """
 
 import functools
@@ -11,10 +13,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces
+from agents.perception.centrelines.along import Pieces, blurred, gaussian, median, smoothed
+from agents.perception.centrelines.profiles import by_channel, sample
 
 WEIGHTS = Path(__file__).with_name("learned.npz")
 DILATIONS = 1, 2, 4, 8, 16
@@ -101,3 +105,141 @@ def weights_in(path: Path) -> Weights:
 def own_weights() -> Weights:
     """The project's own weights."""
     return weights_in(WEIGHTS)
+
+
+PLACES = np.linspace(-1.0, 1.0, 25, dtype=np.float32)
+"""Where a profile is seen, as shares of its reach."""
+BEYOND_PX = 3.0
+"""A profile reaches a width and so much to either side: blur is in pixels however thin the thread is."""
+GROUND_FROM_PX, THREAD_SHARE, THREAD_PX = 1.5, 0.25, 0.25
+"""The ground is what lies farther from the edges; the thread's colour is that of its middle half, and a bit."""
+PLAIN, PLAIN_STRIDE = 3.0, 8
+"""Grey levels: half of a plain ground differs by less from its median, and half of any tissue by twice as much.
+
+Of the points at which it is seen, one in eight tells."""
+ALONG = 4.0
+"""Standard deviation, in points, of the average along the thread in which both colours are seen."""
+WIDTH_ALONG_PX = 8.0
+LEAST_WIDTH, MOST_WIDTH = 0.6, 1.5
+"""Of the whole thread's: what is narrower or wider was misjudged."""
+NARROWEST_PX, WIDEST_PX = 1.0, 40.0
+COLOUR_NOISE, LIGHT = 5.0, 0.15
+"""As for edges: deviations of a colour, in grey levels, and of how bright thread and ground are."""
+CHANNELS, NUMBERS = 6, 9
+LEAST_SHARE, MOST_SHARE = -4.0, 4.0
+LEAST_CONTRAST = 8.0
+USUAL_WIDTH_PX, USUAL_CONTRAST, USUAL_LEVEL = 5.0, 30.0, 100.0
+LEAST = 1e-3
+
+
+def usual_width_px(
+    width_px: Float64[np.ndarray, "n"], pieces: Pieces, apart_px: float = 1.0
+) -> Float64[np.ndarray, "n"]:
+    """The thread's width hereabouts, whatever single profiles say.
+
+    Args:
+        apart_px: how far points lie from each other.
+    """
+    typical = median(width_px)
+    clipped = np.clip(width_px, LEAST_WIDTH * typical, MOST_WIDTH * typical)[:, None]
+    return smoothed(clipped, pieces, gaussian(WIDTH_ALONG_PX / apart_px))[:, 0].clip(NARROWEST_PX, WIDEST_PX)
+
+
+def reach_px(width_px: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
+    """How far a profile of a thread of that width reaches to either side."""
+    return width_px + BEYOND_PX
+
+
+def seen_across(
+    image: UInt8[np.ndarray, "h w 3"],
+    point: Float64[np.ndarray, "n 2"],
+    normal: Float64[np.ndarray, "n 2"],
+    reach: Float64[np.ndarray, "n"],
+    places: Float32[np.ndarray, "t"] = PLACES,
+) -> UInt8[np.ndarray, "t n 3"]:
+    """Colours across each point, from -reach to reach along its normal."""
+    return sample(image, point, normal, places[:, None] * reach, cv2.BORDER_REPLICATE)
+
+
+def has_plain_ground(
+    colour: Float32[np.ndarray, "t n 3"],
+    width_px: Float64[np.ndarray, "n"],
+    places: Float32[np.ndarray, "t"] = PLACES,
+) -> bool:
+    """Whether the ground is of one colour everywhere beside the thread."""
+    some, width = colour[:, ::PLAIN_STRIDE], width_px[::PLAIN_STRIDE]
+    ground = some[np.abs(places)[:, None] * reach_px(width) > width / 2 + GROUND_FROM_PX]
+    channels = np.ascontiguousarray(ground.T)
+    usual = np.array([median(channel) for channel in channels])
+    away = np.abs(channels - usual[:, None])
+    return median(away.mean(axis=0)) < PLAIN
+
+
+def straightened(
+    colour: Float32[np.ndarray, "t n 3"], width_px: Float64[np.ndarray, "n"], pieces: Pieces
+) -> Float32[np.ndarray, "n c"]:
+    """Profiles in units that all threads share; their reach is that of their width.
+
+    Of each place: its colour less the ground's, over the contrast; its brightness against the ground's; and how much of
+    the thread's colour and of the ground's it shows. Then both colours and their contrast, and the width.
+    """
+    width, channels = width_px.astype(np.float32), by_channel(colour)
+    off = np.abs(PLACES)[:, None] * (width + np.float32(BEYOND_PX))
+    ground = _mean(channels, off > width / 2 + GROUND_FROM_PX, pieces)
+    thread = _mean(channels, off < width * THREAD_SHARE + THREAD_PX, pieces)
+    contrast = np.sqrt(np.square(thread - ground).mean(axis=0)) + LEAST_CONTRAST
+    t, n = colour.shape[:2]
+    seen = np.empty((CHANNELS * t + NUMBERS, n), np.float32)
+    places = seen[: CHANNELS * t].reshape(t, CHANNELS, n).swapaxes(0, 1)
+    for place, channel, of_ground in zip(places, channels, ground, strict=False):
+        np.subtract(channel, of_ground, out=place)
+        np.multiply(place, 1 / contrast, out=place)
+    for place, (weight, offset) in zip(places[3:], _mixing(thread, ground), strict=True):
+        np.add(weight[0] * channels[0], offset, out=place)
+        for share, channel in zip(weight[1:], channels[1:], strict=True):
+            np.add(place, share * channel, out=place)
+    np.clip(seen[: CHANNELS * t], LEAST_SHARE, MOST_SHARE, out=seen[: CHANNELS * t])
+    of_ground = ground.mean(axis=0)
+    seen[CHANNELS * t :] = np.concatenate(
+        (
+            np.log(width / USUAL_WIDTH_PX)[None],
+            np.log(contrast / USUAL_CONTRAST)[None],
+            (thread - ground) / contrast,
+            ground / (of_ground + LEAST_CONTRAST) - 1,
+            of_ground[None] / USUAL_LEVEL - 1,
+        )
+    )
+    return seen.T
+
+
+def _mixing(
+    thread: Float32[np.ndarray, "3 n"], ground: Float32[np.ndarray, "3 n"]
+) -> list[tuple[Float32[np.ndarray, "3 n"], Float32[np.ndarray, "n"]]]:
+    """Weights of a colour's channels, and what is added: for the brightness, and for the share of either colour.
+
+    The shares of both colours are those that explain the colour best where both, in an even light, sum to one: as for
+    edges.
+    """
+    even, t, g = np.float32(1 / LIGHT**2), thread / COLOUR_NOISE, ground / COLOUR_NOISE
+    tt, gg, tg = ((one * other).sum(axis=0) + even for one, other in ((t, t), (g, g), (t, g)))
+    tt, gg = tt + 1, gg + 1
+    scale = 1 / (tt * gg - tg**2)
+    brightness = 1 / (ground.sum(axis=0) + 3 * LEAST_CONTRAST)
+    return [
+        (np.stack((brightness,) * 3), np.full_like(scale, -1)),
+        ((t * gg - g * tg) * (scale / COLOUR_NOISE), even * (gg - tg) * scale),
+        ((g * tt - t * tg) * (scale / COLOUR_NOISE), even * (tt - tg) * scale),
+    ]
+
+
+def _mean(
+    channels: Float32[np.ndarray, "3 t n"], where: Bool[np.ndarray, "t n"], pieces: Pieces
+) -> Float32[np.ndarray, "3 n"]:
+    """The mean colour of some places of the profiles hereabouts."""
+    rows = np.flatnonzero(where.any(axis=1))
+    some = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
+    total = np.empty((4, where.shape[1]), np.float32)
+    (channels[:, some] * where[some]).sum(axis=1, out=total[:3])
+    where[some].sum(axis=0, dtype=np.float32, out=total[3])
+    both = blurred(total, pieces, gaussian(ALONG))
+    return both[:3] / np.maximum(both[3], np.float32(LEAST))

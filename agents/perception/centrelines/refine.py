@@ -16,15 +16,15 @@ from agents.perception.centrelines.along import (
     smoothed,
 )
 from agents.perception.centrelines.edges import find_edges
-from agents.perception.centrelines.learned import learned_middles
-from agents.perception.centrelines.profiles import by_channel, middle, normals, offsets, own_strand, sample
-from agents.perception.centrelines.straightened import (
+from agents.perception.centrelines.learned import (
     has_plain_ground,
+    learned_middles,
     reach_px,
     seen_across,
     straightened,
     usual_width_px,
 )
+from agents.perception.centrelines.profiles import by_channel, middle, normals, offsets, own_strand, sample
 
 MARGIN_PX = 2.0
 """Beyond the thread's own edge that a profile of coverage looks; one of the image looks twice as far."""

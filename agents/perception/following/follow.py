@@ -18,9 +18,9 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.centrelines.along import STRIDE, Pieces, directions, gaussian, median
 from agents.perception.centrelines.deviation import deviations, of_edges
+from agents.perception.centrelines.learned import usual_width_px
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import Curves, Evidence, by_edges, by_learning, tangent_sigma
-from agents.perception.centrelines.straightened import usual_width_px
 from agents.perception.centrelines.tips import to_tips
 from agents.perception.following import capture
 from agents.perception.following.appearance import EVERY, Colours, colours_across, pieces_of, some_of, some_of_observed

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.paper.pixel_graph import neighbour_matrix
+from agents.perception.paper.clustering import neighbour_matrix
 
 REFERENCE_WIDTH_PX = 640
 """The image width at which the paper's sizes in pixels hold; they scale with the width."""

@@ -2,13 +2,17 @@
 
 What is to be looked at is divided, in cells of some pixels, where two boxes have least to look at; each part likewise,
 as long as that is less than before.
+
+Masks and connected pieces told by the pixels that they hold: whole images take several times as long.
+
+What is known of a thread before it is looked for: where it may be, and which of several is meant.
 """
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 CONTEXT_PX = 32
 """Around a box that is looked at too. What is looked for lies far from the border of where it is looked for already."""
@@ -113,3 +117,64 @@ def _wider(inner: slice, size: int) -> slice:
     start -= start % MULTIPLE_PX
     stop = inner.stop + CONTEXT_PX
     return slice(start, min(size, stop + -(stop - start) % MULTIPLE_PX))
+
+
+def of_pixels(index: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    """A mask of some pixels, by their indices."""
+    mask = np.zeros(shape, bool)
+    mask.ravel()[index] = True
+    return mask
+
+
+def extents(
+    piece: Int32[np.ndarray, "p"], pixel: Int64[np.ndarray, "p"], columns: int, count: int
+) -> Float64[np.ndarray, "c"]:
+    """The diagonal of each of so many pieces, in pixels; 0 where a piece has none.
+
+    Args:
+        piece: of each pixel; pixel: their indices in an image of so many columns.
+    """
+    return np.hypot(*(_sides(piece, at, count) for at in np.divmod(pixel, columns)))
+
+
+def _sides(piece: Int32[np.ndarray, "p"], at: Int64[np.ndarray, "p"], count: int) -> Float64[np.ndarray, "c"]:
+    """How many rows, or columns, each piece reaches over; 0 where a piece has no pixel."""
+    first, last = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
+    np.minimum.at(first, piece, at)
+    np.maximum.at(last, piece, at)
+    return np.where(last >= 0, last - np.minimum(first, last) + 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Near:
+    """Where a thread may be, and how it looks.
+
+    Fields:
+        where: pixels that may be thread, in the image that is to be segmented.
+        is_bright: whether it is brighter than its surroundings; else it is darker.
+    """
+
+    where: Bool[np.ndarray, "h w"]
+    is_bright: bool
+
+
+@dataclass(frozen=True)
+class Meant:
+    """Which of several threads is meant: the connected piece that has most weight.
+
+    Fields:
+        weight: of each pixel of the image that is to be segmented, from 0.
+        alone: whether only that piece is kept; else also what looks like it.
+        other_eye: coverage by it in the left image, where only there it was said what is meant, and this is the right.
+    """
+
+    weight: Float32[np.ndarray, "h w"]
+    alone: bool
+    other_eye: UInt8[np.ndarray, "h w"] | None = None
+
+
+def piece_meant(mask: Bool[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """The connected piece of a mask with most weight; nothing where none has any."""
+    count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    total = np.bincount(np.asarray(labels)[mask], weights=weight[mask], minlength=count)
+    return np.asarray(labels) == int(np.argmax(total)) if total.any() else np.zeros(mask.shape, bool)

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.segmentation.near import Meant, Near
+from agents.perception.segmentation.boxes import Meant, Near
 from agents.perception.segmentation.network import segment_and_score, segment_network
 from agents.perception.segmentation.promptable import PromptableSegmenter
 from agents.perception.segmentation.promptable_model import PromptableFiles, PromptableModel

@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
+from agents.perception.segmentation.boxes import Meant, Near, extents, of_pixels, piece_meant
 from agents.perception.segmentation.classes import ThreadScore, as_usual, resized, thread_score
-from agents.perception.segmentation.connected import extents, of_pixels
-from agents.perception.segmentation.near import Meant, Near, piece_meant
 
 LEAST_COVERAGE = 96
 """Of a pixel by thread, where thread was found in a larger copy: a thread thinner than a pixel may fall between two."""

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from agents.perception.segmentation.near import Meant, Near, piece_meant
+from agents.perception.segmentation.boxes import Meant, Near, piece_meant
 from agents.perception.segmentation.promptable_model import Embedded
 from agents.perception.segmentation.promptable_prompts import middle_of, pointed_at, spread_points
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from agents.perception.segmentation.near import Meant, Near
+from agents.perception.segmentation.boxes import Meant, Near
 from agents.perception.segmentation.network import segment_network
 
 MOST_POINTS = 8

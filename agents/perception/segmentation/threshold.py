@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Int64, UInt8
 
-from agents.perception.segmentation.near import Meant, Near, piece_meant
+from agents.perception.segmentation.boxes import Meant, Near, piece_meant
 
 BACKGROUND_SHARE = 0.06
 """Side of the window of the local background, as a share of the image's width: many times the thread's width."""

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from agents.perception.centrelines.along import STRIDE, Pieces, blurred, gaussian
+from agents.perception.centrelines.learned import BEYOND_PX, PLACES, straightened
 from agents.perception.centrelines.refine import LEARNED_ALONG_PX
-from agents.perception.centrelines.straightened import BEYOND_PX, PLACES, straightened
 from agents.perception.training.middle_drawn import SHADOW_WIDTHS, drawn_view, shadow_band
 from agents.perception.training.middle_views import WIDE_PLACES, MiddleView
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.perception.centrelines.along import Pieces
-from agents.perception.centrelines.straightened import BEYOND_PX
+from agents.perception.centrelines.learned import BEYOND_PX
 from agents.perception.training.middle_views import WIDE_PLACES, MiddleView
 
 POINTS, KNOT_POINTS = 400, 40

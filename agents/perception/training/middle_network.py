@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Float32
 from torch import nn
 
-from agents.perception.centrelines.learned import DILATIONS, LEAST_SPREAD
-from agents.perception.centrelines.straightened import CHANNELS, NUMBERS, PLACES
+from agents.perception.centrelines.learned import CHANNELS, DILATIONS, LEAST_SPREAD, NUMBERS, PLACES
 
 STATES, LIGHTS, TAPS = 64, 6, 5
 DROPPED = 0.1

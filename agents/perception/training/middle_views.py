@@ -18,9 +18,9 @@ from scipy.spatial import cKDTree
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.centrelines.along import Pieces, directions, gaussian
 from agents.perception.centrelines.centrelines import SEGMENTED_COVERAGE, followed
+from agents.perception.centrelines.learned import reach_px, seen_across, usual_width_px
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import tangent_sigma
-from agents.perception.centrelines.straightened import reach_px, seen_across, usual_width_px
 from agents.perception.segmentation.network import segment_network
 from agents.perception.training.scenes import EYES, Coverage, Image, View, views_in
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from agents.reconstruction.refined.pieces import Chain
+from agents.reconstruction.refined.paths import Chain
 from schemas.messages import Centrelines
 from shared.disparities import Disparities
 

@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 
-from agents.reconstruction.refined.cubic import even_parameters
 from agents.reconstruction.refined.points import Points, double_angle
-from agents.reconstruction.refined.projection import Curve, chords, projected_evenly
+from agents.reconstruction.refined.projection import Curve, chords, even_parameters, projected_evenly
 from agents.reconstruction.refined.sightings import Sightings
 from schemas.messages import RectifiedStereo
 

@@ -20,10 +20,9 @@ from agents.reconstruction.minimum_variation import (
     region_faces,
 )
 from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.cubic import DEGREE
 from agents.reconstruction.refined.normal_equations import Blocks, band, gradient
-from agents.reconstruction.refined.pieces import Chain
-from agents.reconstruction.refined.projection import Curve
+from agents.reconstruction.refined.paths import Chain
+from agents.reconstruction.refined.projection import DEGREE, Curve
 from schemas.messages import RectifiedStereo
 from shared.camera import backproject, depth_of_disparity
 from shared.splines import basis_matrix

@@ -34,8 +34,18 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.reconstruction.refined.alignment import Alignment, align, reversed_along
-from agents.reconstruction.refined.paths import Scores, ends_of, likeliest_path, log_total, score
-from agents.reconstruction.refined.pieces import Chain, chain_of, direction_outward, length_px, pieces_of
+from agents.reconstruction.refined.paths import (
+    Chain,
+    Scores,
+    chain_of,
+    direction_outward,
+    ends_of,
+    length_px,
+    likeliest_path,
+    log_total,
+    pieces_of,
+    score,
+)
 from schemas.messages import Centrelines
 from shared.disparities import Disparities
 from shared.occluded import hidden_ends, is_occluded

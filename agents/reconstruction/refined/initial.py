@@ -5,11 +5,18 @@ from jaxtyping import Float64
 from scipy.linalg import lapack
 
 from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.cubic import DEGREE, basis_at, even_places, fitted, kept
 from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.normal_equations import finite
-from agents.reconstruction.refined.pieces import Chain
-from agents.reconstruction.refined.projection import Curve, at_constant_speed
+from agents.reconstruction.refined.paths import Chain
+from agents.reconstruction.refined.projection import (
+    DEGREE,
+    Curve,
+    at_constant_speed,
+    basis_at,
+    even_places,
+    fitted,
+    kept,
+)
 from schemas.messages import RectifiedStereo
 from shared.camera import backproject, depth_of_disparity
 from shared.splines import clamped_uniform_knots, difference_matrix

@@ -20,9 +20,8 @@ from agents.reconstruction.paper import failed
 from agents.reconstruction.refined.alignment import Alignment, align
 from agents.reconstruction.refined.constraints import Held, held_to, regions_of
 from agents.reconstruction.refined.course import BothImages, LikeliestCourse, likeliest_course
-from agents.reconstruction.refined.covered_ends import map_of, with_covered_ends
 from agents.reconstruction.refined.initial import initial_curve, with_needed_spans
-from agents.reconstruction.refined.pieces import Chain
+from agents.reconstruction.refined.paths import Chain
 from agents.reconstruction.refined.plausibility import contradiction, implausible, unusable
 from agents.reconstruction.refined.projection import LEVEL, row_offsets_px
 from agents.reconstruction.refined.refinement import Refined, Start, refined
@@ -30,9 +29,11 @@ from agents.reconstruction.refined.result import guessed_share, reconstruction, 
 from agents.reconstruction.refined.sightings import (
     Sightings,
     left_sightings,
+    map_of,
     parameters_of_course,
     placed,
     sightings,
+    with_covered_ends,
 )
 from schemas.messages import (
     GIVEN_MASKS,

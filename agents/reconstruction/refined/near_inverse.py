@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.linalg import lapack
 
-from agents.reconstruction.refined.cubic import kept
 from agents.reconstruction.refined.normal_equations import SIDE, Blocks, factored
+from agents.reconstruction.refined.projection import kept
 
 GROUP = 18
 """Rows of a group, six control points: fewer take more steps, more take longer ones."""

@@ -16,8 +16,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.linalg import lapack
 
-from agents.reconstruction.refined.cubic import DEGREE, basis_at, kept
-from agents.reconstruction.refined.projection import Curve, projected, row_terms
+from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at, kept, projected, row_terms
 from agents.reconstruction.refined.sightings import Sightings
 from schemas.messages import RectifiedStereo
 from shared.splines import clamped_uniform_knots, difference_matrix

@@ -8,8 +8,7 @@ the rows, along the line of sight, or out of sight. What points of one image err
 import numpy as np
 from jaxtyping import Float64
 
-from agents.reconstruction.refined.cubic import DEGREE, basis_at
-from agents.reconstruction.refined.projection import Curve
+from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at
 from agents.reconstruction.refined.refinement import Refined
 from agents.reconstruction.refined.shared_errors import shared_errors
 from schemas.messages import RectifiedStereo

@@ -7,7 +7,6 @@ from scipy.spatial import cKDTree
 
 from agents.reconstruction.confidence import assumed_unit
 from agents.reconstruction.refined.constraints import Held
-from agents.reconstruction.refined.covered_ends import hidden_of
 from agents.reconstruction.refined.crossings import (
     crossings_of,
     left_over,
@@ -15,11 +14,11 @@ from agents.reconstruction.refined.crossings import (
     other_threads_px,
     with_middles,
 )
-from agents.reconstruction.refined.cubic import DEGREE, even_parameters
 from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.posterior import bent_covariance, point_covariance
-from agents.reconstruction.refined.projection import DENSE, Curve, chords, pixels_evenly
+from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, chords, even_parameters, pixels_evenly
 from agents.reconstruction.refined.refinement import Refined
+from agents.reconstruction.refined.sightings import hidden_of
 from schemas.messages import (
     RectifiedStereo,
     ReliabilityRegions,

@@ -27,9 +27,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from agents.reconstruction.refined.cubic import DEGREE
 from agents.reconstruction.refined.normal_equations import Rows, gradient, row_offset_columns, solved
-from agents.reconstruction.refined.projection import LEVEL
+from agents.reconstruction.refined.projection import DEGREE, LEVEL
 from schemas.messages import RectifiedStereo
 from shared.calibration.uncertainty import ERRORS
 

@@ -25,10 +25,9 @@ to the line of sight. All of these are measured on renders (docs/reconstruction.
 import numpy as np
 from jaxtyping import Float64
 
-from agents.reconstruction.refined.cubic import DEGREE, even_parameters
 from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.normal_equations import SIDE, factored, solved
-from agents.reconstruction.refined.projection import chords, projected_evenly
+from agents.reconstruction.refined.projection import DEGREE, chords, even_parameters, projected_evenly
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import RectifiedStereo
 

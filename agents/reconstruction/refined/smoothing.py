@@ -15,7 +15,6 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float64
 
-from agents.reconstruction.refined.cubic import DEGREE
 from agents.reconstruction.refined.near_inverse import near_inverse
 from agents.reconstruction.refined.normal_equations import (
     Blocks,
@@ -26,7 +25,7 @@ from agents.reconstruction.refined.normal_equations import (
     solved,
     third_differences,
 )
-from agents.reconstruction.refined.projection import Curve
+from agents.reconstruction.refined.projection import DEGREE, Curve
 
 COARSE = 10.0 ** np.arange(-1.0, 10.0, 2.0)
 FINE = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])

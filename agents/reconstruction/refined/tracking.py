@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from agents.reconstruction.minimum_variation import Regions
 from agents.reconstruction.paper import failed
 from agents.reconstruction.refined.constraints import Held
-from agents.reconstruction.refined.following import Followed, LostError, curve_length, followed
+from agents.reconstruction.refined.following import Followed, LostError, band_of, curve_length, followed
 from agents.reconstruction.refined.method import (
     METHOD,
     NoCurveError,
@@ -31,7 +31,6 @@ from agents.reconstruction.refined.method import (
     uncertain,
     within_regions,
 )
-from agents.reconstruction.refined.motion import band_of
 from agents.reconstruction.refined.plausibility import is_usable_track, unusable
 from agents.reconstruction.refined.posterior import ALIKE, LEAST, point_covariance
 from agents.reconstruction.refined.projection import Curve, pixels_evenly

@@ -10,8 +10,8 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from agents.robot_bridge.backend import Readiness
-from agents.robot_bridge.dvrk.said import Judged
-from agents.robot_bridge.refusals import Code
+from agents.robot_bridge.dvrk.readings import Judged
+from agents.robot_bridge.plans import Code
 from shared.ros.guarded import (
     ALIVE,
     CHALLENGE,

@@ -15,10 +15,9 @@ from jaxtyping import Float64
 from agents.robot_bridge.backend import ArmState, Readiness
 from agents.robot_bridge.dvrk.frames_moved import FramesWatch
 from agents.robot_bridge.dvrk.guard_link import GuardLink
-from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, Measured, Readings
-from agents.robot_bridge.dvrk.said import STOPPING, TELEOPERATION, Judged
+from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, STOPPING, TELEOPERATION, Judged, Measured, Readings
 from agents.robot_bridge.dvrk.set_points import SetPointsWatch
-from agents.robot_bridge.refusals import Code
+from agents.robot_bridge.plans import Code
 from schemas.messages import StateWord
 from shared.calibration.hand_eye.file import HandEye
 from shared.clock import monotonic_ns

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import Readiness
-from agents.robot_bridge.dvrk.said import OTHERS_NS, SECOND_NS, Judged, Raw
-from agents.robot_bridge.refusals import Code
+from agents.robot_bridge.dvrk.readings import OTHERS_NS, SECOND_NS, Judged, Raw
+from agents.robot_bridge.plans import Code
 from shared.ros import crtk
 from shared.ros.link import Heard
 from shared.ros.types import JOINT_STATE, RosMessageError

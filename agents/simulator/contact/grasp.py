@@ -12,8 +12,7 @@ from jaxtyping import Float64
 from agents.simulator.contact.world import Pose, Touch
 from agents.simulator.field import MM, Field, s_of
 from agents.simulator.fingers import FINGERTIP_TOOL, Offset, between, offset_from_wedge
-from agents.simulator.judgement import BEGUN_RAD, CLOSED_RAD, OPEN_RAD, where_code
-from agents.simulator.outcome import Outcome
+from agents.simulator.judgement import BEGUN_RAD, CLOSED_RAD, OPEN_RAD, Outcome, where_code
 from schemas.messages import Verdict
 from shared.rigid_transforms import apply, inverse
 

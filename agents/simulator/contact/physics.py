@@ -4,7 +4,7 @@ from agents.simulator.contact.grasp import Attempt, noted, outcome
 from agents.simulator.contact.material import SUTURE, Material
 from agents.simulator.contact.world import ContactWorld, Pose
 from agents.simulator.field import MM, Field
-from agents.simulator.outcome import MeasuredArm, Outcome
+from agents.simulator.judgement import MeasuredArm, Outcome
 
 USUAL_NS = 10_000_000
 """Between two states of an arm that say nothing of when they were measured."""

@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 
 from schemas.messages import StereoCalibration
 from shared.calibration.estimation.board import Board
+from shared.calibration.estimation.coverage import View
 from shared.calibration.estimation.estimate import FEWEST_VIEWS, estimated, residuals_px, rms
-from shared.calibration.estimation.views import View
 from shared.rigid_transforms import exp_so3, log_so3, transform
 
 FOLDS = 5

@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from schemas.messages import StereoCalibration
 from shared.calibration.estimation.board import Board
-from shared.calibration.estimation.views import View
+from shared.calibration.estimation.coverage import View
 from shared.calibration.uncertainty import ERRORS
 from shared.rigid_transforms import exp_so3, transform
 

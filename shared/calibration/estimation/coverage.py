@@ -2,15 +2,66 @@
 
 A lens is known where corners were seen: in every part of both images. Focal length and distance are told apart by
 boards that are tilted, both ways about both axes, and by boards near and far.
+
+Stereo views of a board, and what of them both eyes share.
+
+Whether a view that a running camera shows is worth keeping beside those that are kept already.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64, Int64, UInt8
 
-from shared.calibration.estimation.board import Board
-from shared.calibration.estimation.views import View
+from shared.calibration.estimation.board import LEAST_CORNERS, Board, Corners, alike, corners_of
+
+
+@dataclass(frozen=True)
+class View:
+    """The corners of a board that both eyes see in one pair.
+
+    Fields:
+        number: of each corner, ascending.
+        left, right: its pixel in each image.
+    """
+
+    name: str
+    number: Int64[np.ndarray, "n"]
+    left: Float64[np.ndarray, "n 2"]
+    right: Float64[np.ndarray, "n 2"]
+
+
+@dataclass(frozen=True)
+class NoView:
+    """A pair that tells nothing, and why."""
+
+    name: str
+    reason: str
+
+
+def view_of(
+    name: str,
+    left: UInt8[np.ndarray, "h w *c"],
+    right: UInt8[np.ndarray, "h w *c"],
+    board: Board,
+    thorough: bool = True,
+) -> View | NoView:
+    """What both eyes see of a board; `thorough` as in `corners_of`."""
+    seen = corners_of(left, board, thorough), corners_of(right, board, thorough)
+    if seen[0] is None or seen[1] is None:
+        missing = " and ".join(eye for eye, corners in zip(("left", "right"), seen, strict=True) if corners is None)
+        return NoView(name, f"the board was not found in the {missing} image; show all of it, in focus, without glare")
+    return shared_view(name, seen[0], seen[1])
+
+
+def shared_view(name: str, left: Corners, right: Corners) -> View | NoView:
+    """The corners that were found in both images of a pair."""
+    right = alike(left, right)
+    number, of_left, of_right = np.intersect1d(left.number, right.number, return_indices=True)
+    if len(number) < LEAST_CORNERS:
+        return NoView(name, f"both eyes share {len(number)} corners, and at least {LEAST_CORNERS} are needed")
+    return View(name, number, left.px[of_left], right.px[of_right])
+
 
 CELLS = (3, 4)
 """Rows and columns of the parts that an image is divided into."""
@@ -118,3 +169,27 @@ def _stands(H: Float64[np.ndarray, "3 3"], middle: Float64[np.ndarray, "2"]) -> 
     along = -H[2, :2] / w
     per_pixel = np.linalg.solve(jacobian.T, along)
     return per_pixel * size * 2 * float(middle.min()), size
+
+
+MOVED_SHARE = 0.06
+"""Of the image's width: how far corners must be, on average, from where they are in every kept view."""
+STILL_SHARE = 0.003
+"""Of the width: how far they may have moved since the frame before; a moving board is smeared, and each eye may see it
+at a moment of its own."""
+
+
+def why_not(view: View, before: View | None, kept: tuple[View, ...], width: int) -> str:
+    """Why a view is not worth keeping, in a few words; empty where it is."""
+    if before is None or _moved_px(view, before) > STILL_SHARE * width:
+        return "hold the board still"
+    if any(_moved_px(view, other) < MOVED_SHARE * width for other in kept):
+        return "move or tilt the board: it was seen so before"
+    return ""
+
+
+def _moved_px(view: View, other: View) -> float:
+    """How far the corners that both views share are apart in the left image, on average."""
+    _, here, there = np.intersect1d(view.number, other.number, return_indices=True)
+    if len(here) == 0:
+        return float("inf")
+    return float(np.linalg.norm(view.left[here] - other.left[there], axis=1).mean())

@@ -15,7 +15,7 @@ from schemas.checks import MessageError
 from schemas.messages import StereoCalibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.covariance import error_covariance
-from shared.calibration.estimation.views import View
+from shared.calibration.estimation.coverage import View
 from shared.calibration.stated import CalibrationError
 from shared.rigid_transforms import nearest_rotation, transform
 

@@ -9,17 +9,178 @@ where it is not told. For each δ of a grid the rigid fit of triangulated to mea
 1976, weighted anew against outliers) gives X; from the best, Gauss-Newton's steps as Levenberg and Marquardt damp them
 lead to the least robust sum of squares over all unknowns (soft l1; scipy's least_squares). A sighting more than
 OUTLIER deviations off is left out and named. Covariance is s² (JᵀJ)⁻¹ of what is left.
+
+What a hand-eye calibration is estimated from: places of a point on the tool as the camera saw them, and the robot's
+poses meanwhile, each with times of its own clock.
+
+A place is two pixels of a rectified pair, or a point before the camera. Lengths are metres.
+
+Unknowns of a hand-eye calibration that leave the least robust sum of squares, and a rigid fit to begin them with.
+
+The equation and what is unknown are estimate.py's.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
+from scipy.optimize import least_squares
 
-from shared.calibration.hand_eye.fit import Fit, covariance, deviation, fitted, rigid_fit
-from shared.calibration.hand_eye.samples import Motion, Sightings
+from schemas.messages import RectifiedStereo
 from shared.calibration.stated import CalibrationError
-from shared.rigid_transforms import apply
+from shared.rigid_transforms import apply, exp_se3, nearest_rotation, transform
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What the camera saw of one point of the tool.
+
+    Fields:
+        seen: of n moments, (u, v) in the left and (u, v) in the right image; or (x, y, z) in the camera's frame.
+        camera: in metres, that the pixels are of; None where points were seen.
+    """
+
+    time_s: Float64[np.ndarray, "n"]
+    seen: Float64[np.ndarray, "n d"]
+    camera: RectifiedStereo | None
+
+    @property
+    def points_camera(self) -> Float64[np.ndarray, "n 3"]:
+        """Where each was; of pixels by the disparity, the rows' mean giving y."""
+        if self.camera is None:
+            return self.seen
+        u_left, v_left, u_right, v_right = self.seen.T
+        camera = self.camera
+        z = camera.fx_px * camera.baseline / np.maximum(u_left - u_right, 1e-3)
+        x = (u_left - camera.cx_px) * z / camera.fx_px
+        return np.column_stack((x, (0.5 * (v_left + v_right) - camera.cy_px) * z / camera.fy_px, z))
+
+    def predicted(self, points_camera: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n d"]:
+        """What the camera would see of points: as `seen`."""
+        camera = self.camera
+        if camera is None:
+            return points_camera
+        x, y, z = points_camera.T
+        z = np.maximum(z, 1e-3)
+        u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
+        return np.column_stack((u, v, u - camera.fx_px * camera.baseline / z, v))
+
+    def only(self, kept: np.ndarray) -> "Sightings":
+        """Some of them."""
+        return Sightings(self.time_s[kept], self.seen[kept], self.camera)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The tool's poses in the base's frame, their times increasing."""
+
+    time_s: Float64[np.ndarray, "m"]
+    T_base_tool: Float64[np.ndarray, "m 4 4"]
+
+    def at(self, time_s: Float64[np.ndarray, "n"], point_tool: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "n 3"]:
+        """Where a point of the tool was in the base's frame, between two poses on the straight line."""
+        points = self.T_base_tool[:, :3, :3] @ point_tool + self.T_base_tool[:, :3, 3]
+        return np.column_stack([np.interp(time_s, self.time_s, axis) for axis in points.T])
+
+
+_IRLS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Unknowns with the Jacobian of the plain residuals; X = exp(twist) X0."""
+
+    X: Float64[np.ndarray, "4 4"]
+    delay_s: float
+    point: Float64[np.ndarray, "3"]
+    residual: Float64[np.ndarray, "n d"]
+    J: Float64[np.ndarray, "r p"]
+
+
+def rigid_fit(
+    points_base: Float64[np.ndarray, "n 3"], points_camera: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "4 4"]:
+    """The rigid transform of the least sum of distances, as least squares that are weighted anew."""
+    found = _weighted_fit(points_base, points_camera, np.ones(len(points_base)))
+    for _ in range(_IRLS):
+        apart = np.linalg.norm(apply(found, points_base) - points_camera, axis=1)
+        weight = 1 / np.maximum(apart, max(1e-6, 0.5 * float(np.median(apart))))
+        found = _weighted_fit(points_base, points_camera, weight)
+    return found
+
+
+def _weighted_fit(
+    points_base: Float64[np.ndarray, "n 3"], points_camera: Float64[np.ndarray, "n 3"], weight: Float64[np.ndarray, "n"]
+) -> Float64[np.ndarray, "4 4"]:
+    share = weight / weight.sum()
+    a, b = share @ points_base, share @ points_camera
+    R = nearest_rotation((points_camera - b).T @ (share[:, None] * (points_base - a)))
+    return transform(R, b - R @ a)
+
+
+def fitted(
+    sightings: Sightings,
+    motion: Motion,
+    X0: Float64[np.ndarray, "4 4"],
+    delay_s: float,
+    point: Float64[np.ndarray, "3"],
+    point_known: bool,
+    delay_free: bool,
+) -> Fit:
+    """The unknowns of the least robust sum; the twist is in metres and tenths of a radian, times in tenths of a second.
+
+    The scale of the robust loss is what the residuals' median absolute deviation makes of it, found twice.
+    """
+    scale = np.concatenate(
+        (np.ones(3), np.full(3, 0.1), [0.1 if delay_free else 0.0], np.full(3, 0.0 if point_known else 1.0))
+    )
+    free = np.flatnonzero(scale)
+
+    def unknowns(x: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        full = np.zeros(10)
+        full[free] = x * scale[free]
+        return exp_se3(full[:6]) @ X0, delay_s + float(full[6]), point + full[7:]
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        X, delay, o = unknowns(x)
+        return sightings.predicted(apply(X, motion.at(sightings.time_s - delay, o))) - sightings.seen
+
+    x, spread = np.zeros(len(free)), deviation(residual(np.zeros(len(free))))
+    for _ in range(2):
+        solved = least_squares(lambda x, s=spread: residual(x).ravel() / s, x, loss="soft_l1", x_scale=1e-3)
+        x, spread = solved.x, deviation(residual(solved.x))
+    X, delay, o = unknowns(x)
+    J = np.zeros((sightings.seen.size, 10))
+    J[:, free] = np.stack([_slope(residual, x, i) for i in range(len(free))], axis=1) / scale[free]
+    return Fit(X, delay, o, residual(x), J)
+
+
+def _slope(residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, i: int) -> np.ndarray:
+    """One column of the Jacobian, by central differences."""
+    step = np.zeros(len(x))
+    step[i] = 1e-5
+    return (residual(x + step) - residual(x - step)).ravel() / 2e-5
+
+
+def deviation(residual: np.ndarray) -> float:
+    """Of normal residuals, by the median of their sizes."""
+    return max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
+
+
+def covariance(fit: Fit) -> Float64[np.ndarray, "10 10"]:
+    """Of twist, delay and point; unknowns that were not free have none."""
+    free = np.flatnonzero(np.abs(fit.J).max(axis=0) > 0)
+    J, values = fit.J[:, free], fit.residual.ravel()
+    s2 = float(values @ values) / max(len(values) - len(free), 1)
+    # unknowns differ in size by orders of magnitude, which must not look like one that cannot be told
+    size = np.linalg.norm(J, axis=0)
+    C = np.zeros((10, 10))
+    C[np.ix_(free, free)] = s2 * np.linalg.pinv((J / size).T @ (J / size)) / np.outer(size, size)
+    if 6 not in free:
+        C[6, 6] = np.inf
+    return C
+
 
 LEAST = 12
 """Sightings; with fewer, what is held out says nothing."""

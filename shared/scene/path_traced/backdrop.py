@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from shared.scene.backdrop import Backdrop, Light, SceneError
+from shared.scene.backdrop_files import Backdrop, Light, SceneError
 from shared.scene.path_traced.camera_effects import developed, gain_for
 from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.field import Lamp

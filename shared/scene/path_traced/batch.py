@@ -11,8 +11,7 @@ import numpy as np
 
 from shared.clock import processor_s
 from shared.scene.path_traced.eyes import Rig
-from shared.scene.path_traced.pair import TracedPair, traced_pair
-from shared.scene.path_traced.pair_files import is_written, write_traced
+from shared.scene.path_traced.pair import TracedPair, is_written, traced_pair, write_traced
 from shared.scene.path_traced.recipe import Recipe, UnarrangedError
 from shared.scene.render import SceneError
 from shared.worker_pool import worker_pool

@@ -6,7 +6,7 @@ from schemas.messages import RectifiedStereo
 from shared.scene.path_traced.ground import Ground
 from shared.scene.path_traced.lab_light import LabLight
 from shared.scene.path_traced.solids import Needle, Solid
-from shared.scene.path_traced.strands import Strand
+from shared.scene.path_traced.splines import Strand
 
 
 @dataclass(frozen=True)

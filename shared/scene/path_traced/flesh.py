@@ -1,12 +1,58 @@
-"""Raw flesh: pale meat with fascia and fat as of a chicken, or red tissue with vessels, under a wet film."""
+"""Raw flesh: pale meat with fascia and fat as of a chicken, or red tissue with vessels, under a wet film.
+
+Lines that look like thread and are none: vessels that wander and fork, hairs of fascia, marks of a pen.
+
+Blood and dark fluid on the ground: pools with a film, drops, and smears.
+"""
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
+from jaxtyping import Float32
 
 from schemas.messages import RectifiedStereo
 from shared.scene.path_traced.ground import Grid, Ground, blended, empty_surface, raised, tilted, undulating
-from shared.scene.path_traced.vessels import vessel_cover
-from shared.scene.random_fields import rough_field, smooth_field, smooth_step
+from shared.scene.surface import rough_field, smooth_field, smooth_step
+
+SUBSTEPS = 16
+
+
+def vessel_cover(
+    rng: np.random.Generator, shape: tuple[int, int], width: float, count: int, wander: float = 0.28
+) -> Float32[np.ndarray, "h w"]:
+    """Cover, 0 to 1, by so many vessels that thin out and fork; `width` in grid steps where they are widest."""
+    image = np.zeros(shape, dtype=np.uint8)
+    for _ in range(count):
+        start = rng.uniform(0.0, 1.0, 2) * (shape[1], shape[0])
+        heading = rng.uniform(0.0, 2.0 * np.pi)
+        wide = width * rng.uniform(0.5, 1.3)
+        path = wandering(rng, start, heading, 4.0, 180, wander)
+        tapering_line(image, path, wide, 0.35 * wide)
+        for fork in rng.integers(10, len(path), rng.integers(0, 4)):
+            branch = wandering(rng, path[fork], heading + rng.choice((-0.8, 0.8)), 4.0, 80, wander)
+            tapering_line(image, branch, 0.6 * wide, 0.15 * wide)
+    return cv2.GaussianBlur(image.astype(np.float32) / 255.0, (0, 0), 0.15 * width + 0.5)
+
+
+def wandering(
+    rng: np.random.Generator, start: np.ndarray, heading: float, step: float, count: int, wander: float
+) -> Float32[np.ndarray, "n 2"]:
+    """A path whose heading changes smoothly at random."""
+    turn = cv2.GaussianBlur(rng.normal(0.0, 1.0, (1, count)), (0, 0), 5.0).ravel() * wander
+    headings = heading + np.cumsum(turn)
+    steps = step * np.column_stack((np.cos(headings), np.sin(headings)))
+    return (start + np.cumsum(steps, axis=0)).astype(np.float32)
+
+
+def tapering_line(image: np.ndarray, path: np.ndarray, wide: float, narrow: float) -> None:
+    """Draw a path whose width falls from its start to its end; widths below one step draw as faint lines."""
+    pieces = np.array_split(np.arange(len(path)), 6)
+    for part, width in zip(pieces, np.linspace(wide, narrow, len(pieces)), strict=True):
+        piece = np.rint(path[max(part[0] - 1, 0) : part[-1] + 1] * SUBSTEPS).astype(np.int32)
+        strength = int(255 * min(max(width, 0.25), 1.0))
+        cv2.polylines(image, [piece.reshape(-1, 1, 2)], False, strength, max(round(width), 1), cv2.LINE_AA, 4)
+
 
 MEATS = {
     "pale": ((0.60, 0.42, 0.33), (0.45, 0.24, 0.19), (0.70, 0.56, 0.46)),
@@ -95,3 +141,46 @@ def _with_vessels(rng: np.random.Generator, albedo: np.ndarray, mm: float, fat: 
 def _wetness(rng: np.random.Generator, shape: tuple[int, int], mm: float) -> Grid:
     low = rng.uniform(-1.6, 0.4)
     return smooth_step(rough_field(rng, shape, rng.uniform(6.0, 14.0) * mm, 3), low, low + 1.4)
+
+
+FLUIDS = {"blood": (0.20, 0.012, 0.012), "old blood": (0.07, 0.015, 0.012), "bile": (0.16, 0.17, 0.03)}
+
+
+def stained(ground: Ground, rng: np.random.Generator) -> Ground:
+    """The ground with fluid on it, which is darker, smoother and glossier."""
+    fluid = FLUIDS[str(rng.choice(list(FLUIDS), p=(0.6, 0.3, 0.1)))]
+    shape, mm = ground.film.shape, 1.0 / ground.surface.step_mm
+    cover = np.maximum.reduce([_pools(rng, shape, mm), _drops(rng, shape, mm), _smears(rng, shape, mm)])
+    albedo = blended(ground.albedo, fluid, (rng.uniform(0.6, 0.95) * cover).astype(np.float32))
+    roughness = ground.roughness + cover * (0.12 - ground.roughness)
+    film = np.maximum(ground.film, 0.8 * cover)
+    return replace(
+        ground,
+        albedo=albedo.astype(np.float32),
+        roughness=roughness.astype(np.float32),
+        film=film.astype(np.float32),
+    )
+
+
+def _pools(rng: np.random.Generator, shape: tuple[int, int], mm: float) -> Grid:
+    edge = rng.uniform(1.2, 2.4)
+    return smooth_step(rough_field(rng, shape, rng.uniform(8.0, 20.0) * mm, 4), edge, edge + 0.15)
+
+
+def _drops(rng: np.random.Generator, shape: tuple[int, int], mm: float) -> Grid:
+    image = np.zeros(shape, dtype=np.uint8)
+    for _ in range(int(rng.poisson(8))):
+        x, y = (int(value) for value in rng.uniform(0.0, 1.0, 2) * (shape[1], shape[0]))
+        axes = tuple(int(value) for value in np.maximum(rng.uniform(0.3, 1.5, 2) * mm, 1.0))
+        cv2.ellipse(image, (x, y), axes, float(rng.uniform(0.0, 180.0)), 0.0, 360.0, 255, -1, cv2.LINE_AA)
+    return image.astype(np.float32) / 255.0
+
+
+def _smears(rng: np.random.Generator, shape: tuple[int, int], mm: float) -> Grid:
+    """Thin streaks that run dry: they look like dark red thread."""
+    image = np.zeros(shape, dtype=np.uint8)
+    for _ in range(int(rng.poisson(2))):
+        start = rng.uniform(0.1, 0.9, 2) * (shape[1], shape[0])
+        path = wandering(rng, start, rng.uniform(0.0, 6.3), 4.0, int(rng.integers(20, 90)), 0.15)
+        tapering_line(image, path, rng.uniform(0.4, 2.0) * mm, 0.15 * mm)
+    return cv2.GaussianBlur(image.astype(np.float32) / 255.0, (0, 0), 0.8)

@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from schemas.messages import RectifiedStereo
-from shared.scene.random_fields import smooth_field
-from shared.scene.surface import Surface
+from shared.scene.surface import Surface, smooth_field
 
 STEP_MM = 0.15
 MARGIN = 1.3

@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from shared.scene.path_traced.engine import engine
 from shared.scene.path_traced.solids import METALS, Solid
-from shared.scene.random_fields import rough_field, smooth_field
+from shared.scene.surface import rough_field, smooth_field
 
 TILE_MM, TILE_PX = 16.0, 512
 TEETH_MM, TEETH_DEPTH_MM = 0.5, 0.12

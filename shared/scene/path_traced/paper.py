@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 
 from schemas.messages import RectifiedStereo
+from shared.scene.path_traced.flesh import tapering_line, vessel_cover, wandering
 from shared.scene.path_traced.ground import Ground, blended, empty_surface, tilted, undulating
-from shared.scene.path_traced.vessels import tapering_line, vessel_cover, wandering
-from shared.scene.random_fields import rough_field, smooth_field, smooth_step
+from shared.scene.surface import rough_field, smooth_field, smooth_step
 
 INKS = {
     "red": ((0.55, 0.16, 0.13), (0.28, 0.04, 0.04)),

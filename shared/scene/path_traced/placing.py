@@ -9,10 +9,9 @@ from scipy.spatial import cKDTree
 
 from shared.camera import project
 from shared.scene.path_traced.field import Field
-from shared.scene.path_traced.pinned import Pinned
+from shared.scene.path_traced.rod import Pinned
 from shared.scene.path_traced.solids import SIDES, Needle, Solid, instrument, needle_from, pose_towards, silhouette
-from shared.scene.path_traced.splines import end_directions, sampled
-from shared.scene.path_traced.strands import Strand
+from shared.scene.path_traced.splines import Strand, end_directions, sampled
 from shared.scene.surface import depth_at_points
 
 HIDDEN_SHARE = (0.30, 0.50)

@@ -8,13 +8,12 @@ from schemas.messages import RectifiedStereo
 from shared.scene.path_traced.camera_effects import Effects, drawn_effects
 from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.field import Field, Lamp
-from shared.scene.path_traced.flesh import flesh_ground
+from shared.scene.path_traced.flesh import flesh_ground, stained
 from shared.scene.path_traced.holding import driver_maker, holding_needle, holding_thread
 from shared.scene.path_traced.lab_light import lab_light
 from shared.scene.path_traced.meshes import driver_parts
 from shared.scene.path_traced.pad import pad_ground, phantom_ground
 from shared.scene.path_traced.paper import paper_ground
-from shared.scene.path_traced.pinned import pinned_strand
 from shared.scene.path_traced.placing import (
     NEAR_TIPS_MM,
     bystanders,
@@ -23,10 +22,9 @@ from shared.scene.path_traced.placing import (
     occluders,
     with_ending,
 )
+from shared.scene.path_traced.rod import pinned_strand
 from shared.scene.path_traced.solids import Solid
-from shared.scene.path_traced.splines import sampled
-from shared.scene.path_traced.stains import stained
-from shared.scene.path_traced.strands import DYES, LAB_DYES, USUAL_DYES, drawn_strand, laid_over
+from shared.scene.path_traced.splines import DYES, LAB_DYES, USUAL_DYES, drawn_strand, laid_over, sampled
 from shared.scene.render import SceneError
 from shared.scene.thread_shapes import ShapeError
 

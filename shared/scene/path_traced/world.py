@@ -13,8 +13,7 @@ from shared.scene.path_traced.ground import Ground, grid_axes
 from shared.scene.path_traced.lab_light import LabLight
 from shared.scene.path_traced.materials import bitmap, colour, metal, of_solid
 from shared.scene.path_traced.solids import Needle, Solid
-from shared.scene.path_traced.splines import end_directions
-from shared.scene.path_traced.strands import DYES, Strand
+from shared.scene.path_traced.splines import DYES, Strand, end_directions
 
 BRAID_PITCH_MM = 0.8
 LAMP = "lamp"

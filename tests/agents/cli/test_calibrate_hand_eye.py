@@ -11,7 +11,7 @@ from agents.launch.builders import build
 from agents.robot_bridge.agent import RobotBridge
 from schemas.messages import RectifiedStereo
 from shared.calibration import read_calibration
-from shared.calibration.hand_eye.samples import Motion, Sightings
+from shared.calibration.hand_eye.estimate import Motion, Sightings
 from shared.calibration.identity import calibration_id
 from shared.calibration.made import made_ns
 from shared.kinematics.psm import JOINT_NAMES, forward

@@ -7,7 +7,7 @@ import pytest
 
 from agents.cli.evaluate import trials
 from agents.cli.evaluate.trials import Table, planner_config
-from agents.evaluation.came import Came
+from agents.evaluation.look import Came
 from agents.evaluation.protocol import Protocol, hand_eye_seed, injected_m, threads_of, trials_on
 from agents.evaluation.trial import Told
 from tests.agents.cli.conftest import refused

@@ -14,7 +14,7 @@ from agents.cli.experiment.trial import ExperimentError, Rig, declines
 from agents.cli.page.trials import trials_of
 from agents.experiment.journal import Attempt, Journal, Protocol
 from agents.operator.operator import Stood
-from agents.robot_bridge.refusals import Code
+from agents.robot_bridge.plans import Code
 from schemas.messages import CommandAnswer, Outcome
 from shared.runtime.config import ConfigError
 from shared.runtime.session import free_local_endpoint

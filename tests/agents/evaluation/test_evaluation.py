@@ -5,15 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.evaluation.came import Came
 from agents.evaluation.journal import Journal
-from agents.evaluation.least_time import SpeedLimits, least_time_s
+from agents.evaluation.look import Came
 from agents.evaluation.protocol import Protocol, hand_eye_seed, injected_m, threads_of, tool_seed, trials_on
-from agents.evaluation.reliability import reliability
 from agents.evaluation.report import as_html, report
-from agents.evaluation.results import results_of
-from agents.evaluation.sweep import falls_at, sweeps
-from agents.evaluation.table import overview
+from agents.evaluation.results import reliability, results_of
+from agents.evaluation.table import SpeedLimits, falls_at, least_time_s, overview, sweeps
 from shared.runtime.config import ConfigError
 
 TOLD = {

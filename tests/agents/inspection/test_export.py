@@ -7,8 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from agents.inspection.export import export
-from agents.inspection.export_files import FORMATS
+from agents.inspection.export import FORMATS, export
 from agents.inspection.session import read_session
 from schemas.messages import FrameStamp, Image, ImageEncoding, StereoFrame
 from schemas.topics import FRAMES

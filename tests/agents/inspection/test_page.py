@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.inspection.charts import WIDTH, Mark, Series, chart, nice_ceiling, thinned
-from agents.inspection.page import session_page
+from agents.inspection.page import WIDTH, Mark, Series, chart, nice_ceiling, session_page, thinned
 from agents.inspection.pictures import pictures_of
 from agents.inspection.session import read_session
 from tests.agents.inspection.conftest import ns

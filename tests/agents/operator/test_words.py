@@ -10,7 +10,7 @@ from agents.operator.control import Control
 from agents.operator.drawn import BETTER_ELSEWHERE
 from agents.operator.words import Seen, arm_words, event_words, sentence, tool_words
 from agents.planner import policy
-from agents.robot_bridge.refusals import Code
+from agents.robot_bridge.plans import Code
 from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState, ToolStatus
 from tests.agents.operator.by_hand import followed
 

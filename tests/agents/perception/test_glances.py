@@ -11,8 +11,7 @@ import pytest
 
 from agents.camera.scene_source import calibration_of
 from agents.perception.due import FRAMES_BETWEEN, GLANCES_AFTER_LOOK, LONGEST_REST, OLDEST_S, REST, Due, due
-from agents.perception.glances.glance import glance, part_score
-from agents.perception.glances.parts import PARTS, Part, next_part
+from agents.perception.glances.glance import PARTS, Part, glance, next_part, part_score
 from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED
 from schemas.codec import encode
 from schemas.messages import Status

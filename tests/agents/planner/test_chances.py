@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agents.planner.chances import Swept, keep_probability, spread
 from agents.planner.config import PlannerConfig
 from agents.planner.policy import BETTER_ELSEWHERE, Against, alternatives, grasp_probability, most_likely
-from agents.planner.slide import Swept, keep_probability, spread
 from agents.planner.wedge import wedge_probability, within_wedge
 from shared.kinematics.psm import FINGER_M
 

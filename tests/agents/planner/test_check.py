@@ -9,11 +9,10 @@ import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.planner.attempt import next_attempt
 from agents.planner.check import checked, held_probability
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import curve_of
-from agents.planner.learning import after_miss
+from agents.planner.learning import after_miss, next_attempt
 from agents.planner.moved import END_M, Motion
 from schemas.messages import Checked
 from shared.kinematics.psm import FINGER_M

@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from agents.reconstruction.refined.cubic import fitted
-from agents.reconstruction.refined.projection import Curve
+from agents.reconstruction.refined.projection import Curve, fitted
 from agents.reconstruction.refined.sightings import Sightings
 from schemas.messages import Centrelines, FrameStamp, Image, ImageEncoding, RectifiedStereo, Status, ThreadObservations
 from shared.camera import project

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from agents.recorder.disk import DiskGuard
+from agents.recorder.intake import DiskGuard
 from agents.recorder.recorder import RecorderSettings
 from shared.recording.completeness import completeness
 from shared.recording.mcap_file import read_notes, read_recording
@@ -17,7 +17,7 @@ def disk(monkeypatch):
 
     def set_to(free, total=10**12):
         told = SimpleNamespace(f_bavail=free // 1000, f_blocks=total // 1000, f_frsize=1000)
-        monkeypatch.setattr("agents.recorder.disk.os.statvfs", lambda _: told)
+        monkeypatch.setattr("agents.recorder.intake.os.statvfs", lambda _: told)
 
     return set_to
 

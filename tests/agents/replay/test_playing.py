@@ -8,14 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.replay.contents import PastCommand, contents_of, readable
-from agents.replay.controls import Controls
-from agents.replay.flow import Awaited, awaited_of
-from agents.replay.items import Message, ReadAhead, items
-from agents.replay.selection import SelectionError, name_of, select
-from agents.replay.spacing import spacing_errors_ms, spacing_of
-from agents.replay.timeline import Timeline
-from agents.replay.window import WindowError, window_ns
+from agents.replay.compare import Message, ReadAhead, items
+from agents.replay.contents import (
+    PastCommand,
+    SelectionError,
+    WindowError,
+    contents_of,
+    name_of,
+    readable,
+    select,
+    window_ns,
+)
+from agents.replay.flow import Awaited, awaited_of, spacing_errors_ms, spacing_of
+from agents.replay.player import Controls, Timeline
 from schemas.messages import Consumed, Progress
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, PROMPT, ROBOT_STATE, THREAD, key
 

@@ -11,7 +11,7 @@ import pytest
 from agents.robot_bridge.agent import RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.backend import ArmState, Readiness
 from agents.robot_bridge.limits import MotionLimits
-from agents.robot_bridge.refusals import Code
+from agents.robot_bridge.plans import Code
 from schemas.messages import ChangeState, CommandHeader, ExecutionKind, Outcome, Phase, RobotMode, StateWord, Waypoint
 from schemas.topics import CHANGE_STATE, ROBOT_STATE
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward

@@ -11,7 +11,7 @@ from agents.robot_bridge.checks import joints_of, waypoint_refusal
 from agents.robot_bridge.limits import MotionLimits, Setup
 from agents.robot_bridge.motion import MAXIMUM_WAYPOINTS, Trajectory, plan_motion, segment_end
 from agents.robot_bridge.path import Poses, smooth_path
-from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.plans import Code, Refusal
 from agents.robot_bridge.simulated import SIMULATED_START
 from schemas.messages import Phase, Waypoint
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward, joint_problem

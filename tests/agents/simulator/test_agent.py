@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.simulator.agent import Simulator, SimulatorConfig
-from agents.simulator.errors import hand_eye_error, tool_error
+from agents.simulator.world import hand_eye_error, tool_error
 from schemas import messages
 from schemas.codec import encode
 from schemas.topics import EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, SIMULATOR_STATE, Topic, key

@@ -15,17 +15,15 @@ from agents.camera.scene_source import calibration_of
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.correction import CorrectionLimits
 from agents.robot_bridge.simulated import SimulatedPsm
-from agents.tool_tracker.acquisition import Begin, acquired, looking, prior, soft_pair
 from agents.tool_tracker.agent import ToolTracker
 from agents.tool_tracker.correction import Correction, about, twist_about
 from agents.tool_tracker.evidence import SHRINK, learnt
-from agents.tool_tracker.lines import lined
 from agents.tool_tracker.outline import outline, silhouette
-from agents.tool_tracker.placed import placed_at
 from agents.tool_tracker.refinement import View, elsewhere, refined
+from agents.tool_tracker.search import Begin, acquired, lined, looking, prior, soft_pair
 from agents.tool_tracker.told import track_of
 from agents.tool_tracker.track import MISSES, Following, followed
-from agents.tool_tracker.tubes import SHAFT, tubes
+from agents.tool_tracker.tubes import SHAFT, placed_at, tubes
 from schemas.codec import decode
 from schemas.messages import (
     Arm,

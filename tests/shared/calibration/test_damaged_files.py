@@ -8,8 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from shared.calibration import CalibrationError, read_calibration
-from shared.calibration.own_file import calibration_text
-from shared.calibration.written import camera_info_texts, opencv_text
+from shared.calibration.own_file import calibration_text, camera_info_texts, opencv_text
 from tests.rigs.boards import endoscope
 
 SIZE = (960, 540)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from schemas.messages import StereoCalibration
 from shared.calibration import CalibrationError, OtherSizeError, read_calibration, write_calibration
 from shared.calibration.made import made_ns, made_text
-from shared.calibration.pixel_convention import counted_from_centres
-from shared.calibration.written import opencv_text
+from shared.calibration.named_matrices import counted_from_centres
+from shared.calibration.own_file import opencv_text
 from shared.rigid_transforms import exp_so3, transform
 
 SIZE = (960, 540)

@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.perception.judging.picture import about_sharpness
+from agents.perception.judging.picture import DIRECTIONS_DEG, about_sharpness, softness_px
 from agents.perception.judging.sequence import about_sequence
-from agents.perception.judging.sharpness import DIRECTIONS_DEG, softness_px
 from schemas.messages import FrameStamp, Severity
 
 HEIGHT, WIDTH = 540, 960

@@ -11,11 +11,16 @@ from hypothesis import strategies as st
 
 from agents.perception.prompt import meant_as_before, meant_at, meant_like
 from agents.perception.search import near_thread
-from agents.perception.segmentation.near import Meant, Near
+from agents.perception.segmentation.boxes import Meant, Near
 from agents.perception.segmentation.promptable import PromptableSegmenter, thread_in
-from agents.perception.segmentation.promptable_model import Embedded, PromptableFileError, PromptableModel
+from agents.perception.segmentation.promptable_model import (
+    Embedded,
+    NotOnnxError,
+    PromptableFileError,
+    PromptableModel,
+    signature_of,
+)
 from agents.perception.segmentation.promptable_prompts import in_rows_of, middle_of
-from agents.perception.segmentation.promptable_signature import NotOnnxError, signature_of
 from tests.agents.perception.pictures import recall_and_precision, rendered
 from tests.agents.perception.tiny_promptable import decoder, encoder, write_tiny
 

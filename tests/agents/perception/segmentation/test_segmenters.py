@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.perception.segmentation.boxes import CONTEXT_PX, boxes_around
+from agents.perception.segmentation.boxes import CONTEXT_PX, Near, boxes_around
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
-from agents.perception.segmentation.near import Near
 from agents.perception.segmentation.network import segment_network, thread_in
 from agents.perception.segmentation.threshold import segment_threshold
 from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES

@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`")
 from agents.perception.both_eyes.apart import apart_px  # noqa: E402
 from agents.perception.both_eyes.shown import Eye, together  # noqa: E402
 from agents.perception.centrelines.along import Pieces  # noqa: E402
-from agents.perception.centrelines.straightened import reach_px  # noqa: E402
+from agents.perception.centrelines.learned import reach_px  # noqa: E402
 from agents.perception.segmentation.classes import phases, scores_of  # noqa: E402
 from agents.perception.training.architecture import ClassNet, Encoder, unfolded  # noqa: E402
 from agents.perception.training.crops import CROP_PX, batches  # noqa: E402

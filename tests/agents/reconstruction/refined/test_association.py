@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from agents.reconstruction.refined.association import associated
-from agents.reconstruction.refined.cubic import fitted
 from agents.reconstruction.refined.points import chosen_points
-from agents.reconstruction.refined.projection import LEVEL, Curve
+from agents.reconstruction.refined.projection import LEVEL, Curve, fitted
 from schemas.messages import Centrelines, no_centrelines
 from shared.camera import project
 from tests.agents.reconstruction.threads import CAMERA, spline_of

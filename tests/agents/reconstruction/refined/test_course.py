@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 from agents.reconstruction.refined.alignment import align
 from agents.reconstruction.refined.course import BothImages, likeliest_course
 from agents.reconstruction.refined.method import course_of
-from agents.reconstruction.refined.paths import Scores, ends_of, likeliest_path, log_total, score
-from agents.reconstruction.refined.pieces import chain_of, pieces_of
+from agents.reconstruction.refined.paths import Scores, chain_of, ends_of, likeliest_path, log_total, pieces_of, score
 from agents.reconstruction.refined.sightings import LEVEL_PX
 from schemas.messages import SURE, ImageEncoding, Occluder, Occluders
 from shared.camera import project

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from agents.reconstruction.refined.covered_ends import DOUBT, hidden_of, with_covered_ends
 from agents.reconstruction.refined.crossings import crossings_of, left_over, other_threads_px
 from agents.reconstruction.refined.projection import Curve
+from agents.reconstruction.refined.sightings import DOUBT, hidden_of, with_covered_ends
 from schemas.messages import (
     Centrelines,
     Image,

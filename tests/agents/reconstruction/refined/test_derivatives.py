@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from agents.reconstruction.refined.motion import process_noise, stretching
+from agents.reconstruction.refined.following import process_noise, stretching
 from agents.reconstruction.refined.normal_equations import (
     data_blocks,
     gradient,

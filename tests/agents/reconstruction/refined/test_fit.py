@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.reconstruction.refined.cubic import fitted
 from agents.reconstruction.refined.posterior import point_covariance
-from agents.reconstruction.refined.projection import Curve, at_constant_speed, projected
+from agents.reconstruction.refined.projection import Curve, at_constant_speed, fitted, projected
 from agents.reconstruction.refined.refinement import Start, refined
 from agents.reconstruction.refined.shared_errors import shared_errors
 from agents.reconstruction.refined.sightings import Sightings, folds

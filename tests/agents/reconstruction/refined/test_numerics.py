@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from agents.reconstruction.refined.following import away_from, band_of, prior
 from agents.reconstruction.refined.medians import median
-from agents.reconstruction.refined.motion import away_from, band_of, prior
 from agents.reconstruction.refined.near_inverse import near_inverse
 from agents.reconstruction.refined.normal_equations import (
     Blocks,

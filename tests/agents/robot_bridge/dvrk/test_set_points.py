@@ -4,7 +4,7 @@ import numpy as np
 
 from agents.robot_bridge.dvrk.guard_link import REMEMBERED, GuardLink
 from agents.robot_bridge.dvrk.set_points import SAME, SETTLES_NS, WINDOW_NS, SetPointsWatch
-from agents.robot_bridge.refusals import Code
+from agents.robot_bridge.plans import Code
 from shared.ros import crtk
 
 START, MS = 10**18, 10**6

@@ -10,13 +10,11 @@ from hypothesis import strategies as st
 from shared.calibration import CalibrationError, read_calibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.checking import checked, held_out, rotation_deg
-from shared.calibration.estimation.collecting import why_not
 from shared.calibration.estimation.covariance import errors_of
-from shared.calibration.estimation.coverage import Coverage, coverage, lacking
+from shared.calibration.estimation.coverage import Coverage, View, coverage, lacking, why_not
 from shared.calibration.estimation.estimate import estimated, residuals_px
-from shared.calibration.estimation.views import View
+from shared.calibration.own_file import camera_info_texts, opencv_text
 from shared.calibration.uncertainty import USUAL
-from shared.calibration.written import camera_info_texts, opencv_text
 from shared.rigid_transforms import exp_so3, transform
 from tests.rigs.boards import endoscope, standings
 

@@ -5,8 +5,7 @@ import pytest
 
 from schemas.messages import RectifiedStereo
 from shared.calibration import CalibrationError
-from shared.calibration.hand_eye.estimate import estimated
-from shared.calibration.hand_eye.samples import Motion, Sightings
+from shared.calibration.hand_eye.estimate import Motion, Sightings, estimated
 from shared.kinematics.psm import forward
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as X
 from shared.rigid_transforms import apply, inverse, log_se3

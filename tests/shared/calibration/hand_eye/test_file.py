@@ -7,8 +7,7 @@ import pytest
 
 from shared.calibration import CalibrationError
 from shared.calibration.hand_eye.file import FLIP, Axes, Reference, read_hand_eye
-from shared.calibration.own_file import calibration_text
-from shared.calibration.written import opencv_text
+from shared.calibration.own_file import calibration_text, opencv_text
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T
 from shared.rigid_transforms import exp_se3, inverse
 from shared.units import METRES_PER_UNIT

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from agents.cli.lab.scenes import endoscope
-from shared.scene.path_traced.cuts import Cut, carve, lens_cover
-from shared.scene.path_traced.pad import pad_ground, phantom_ground
+from shared.scene.path_traced.pad import Cut, carve, lens_cover, pad_ground, phantom_ground
 
 RIG = endoscope(160, 90)
 

@@ -9,8 +9,14 @@ import pytest
 
 from agents.cli.lab.scenes import endoscope
 from shared.scene.path_traced.eyes import calibrated_rig
-from shared.scene.path_traced.pair import CentrelineTruth, EyeImages, TracedPair, offset_from_truth
-from shared.scene.path_traced.pair_files import COLUMNS, write_traced
+from shared.scene.path_traced.pair import (
+    COLUMNS,
+    CentrelineTruth,
+    EyeImages,
+    TracedPair,
+    offset_from_truth,
+    write_traced,
+)
 from shared.scene.path_traced.recipe import Recipe, arranged
 from shared.scene.path_traced.splines import sampled
 from tests.shared.scene.path_traced.test_eyes import calibration

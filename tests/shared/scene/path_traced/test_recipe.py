@@ -26,8 +26,7 @@ from shared.scene.path_traced.recipe import (
     arranged,
 )
 from shared.scene.path_traced.solids import silhouette
-from shared.scene.path_traced.splines import sampled
-from shared.scene.path_traced.strands import DYES, LAB_DYES, USUAL_DYES
+from shared.scene.path_traced.splines import DYES, LAB_DYES, USUAL_DYES, sampled
 from shared.scene.path_traced.tracing import without_sparks
 from shared.scene.render import SceneError
 from shared.scene.surface import depth_at_points
