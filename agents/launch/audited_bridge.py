@@ -11,7 +11,7 @@ import schemas
 from agents.launch.audit import AuditError, AuditLog
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.backend import Backend
-from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.plans import Code, Refusal
 from schemas.messages import Arm, ChangeState, CommandAnswer, ExecutionEvent
 from schemas.topics import EXECUTION
 from shared.clock import now_ns

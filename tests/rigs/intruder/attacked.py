@@ -19,7 +19,8 @@ from rich.table import Table
 
 from tests.rigs.intruder.flood import flooded
 from tests.rigs.intruder.links import refused_connections
-from tests.rigs.intruder.rig import CannotError, Row, secured_rig
+from tests.rigs.intruder.rig import CannotError, secured_rig
+from tests.rigs.intruder.rows import Row
 from tests.rigs.intruder.rules import forged
 
 

@@ -10,7 +10,7 @@ import threading
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from schemas.topics import (
     HEALTH,
     HEARTBEAT,
     LOG,
+    MAIN,
     PLAN,
     PROMPT,
     ROBOT_STATE,
@@ -42,7 +43,8 @@ from shared.runtime.attachment import LAYOUT, Attachment, pack
 from shared.runtime.commands import STATUS
 from shared.runtime.delivery import declare_publisher
 from tests.rigs.intruder.malformed import malformed, valid_messages
-from tests.rigs.intruder.rig import ARM, BRIDGE, DESK, NAMES, OPERATOR, Rig, Row, instance_of, owned_topics
+from tests.rigs.intruder.rig import ARM, BRIDGE, DESK, NAMES, OPERATOR, Rig, owned_topics
+from tests.rigs.intruder.rows import Row
 from tests.rigs.intruder.rules import commands_of_rig
 
 EPOCH = 0x0DD
@@ -82,7 +84,7 @@ class Flood:
 
     def topic(self, topic: Topic, kind: str, count: int, payloads: Iterator[bytes] | None = None) -> None:
         """Send so many malformed messages of a topic as its owner."""
-        name = key(self.rig.config.rig, topic, instance_of(topic, kind), kind)
+        name = key(self.rig.config.rig, topic, _instance(topic, kind), kind)
         session = self.rig.session(NAMES.get(kind, f"{kind}.main"))
         publisher = declare_publisher(session, name, topic, waits=True)
         made = payloads or malformed(topic, valid_messages(ARM)[topic], self.draw)
@@ -129,7 +131,7 @@ class Flood:
 
     def accounts(self, topic: Topic, kind: str) -> None:
         """A row for each consumer of a topic, by its own account; what honest owners sent is taken off."""
-        name = key(self.rig.config.rig, topic, instance_of(topic, kind), kind)
+        name = key(self.rig.config.rig, topic, _instance(topic, kind), kind)
         for consumer, health in list(self.rig.heard.health.items()):
             if any(_of(i, topic) for i in health.inputs):
                 row = self._row(consumer, topic, name)
@@ -152,8 +154,20 @@ class Flood:
             for (other, run), times in list(self.rig.heard.times_s.items())
             if other == name and run not in runs
         )
-        counts = account.received - others, account.refused, account.dropped, account.missed, len(self.rig.ended())
-        return Row(f"malformed {topic} at {consumer}", self.sent[name], *counts)
+        crashed = len(self.rig.ended())
+        return Row(
+            f"malformed {topic} at {consumer}",
+            self.sent[name],
+            account.received - others,
+            account.refused,
+            account.dropped,
+            account.missed,
+            crashed,
+        )
+
+
+Place = tuple[Topic, str]
+"""A topic, and the kind of agent that owns the key."""
 
 
 def flooded(rig: Rig, messages: int, seed: int, huge: bool = True) -> tuple[list[Row], list[str]]:
@@ -163,10 +177,12 @@ def flooded(rig: Rig, messages: int, seed: int, huge: bool = True) -> tuple[list
     weights = {(t, kind): WEIGHTS.get(t, 1.0) for t, kind in topics}
     each = messages / (sum(weights.values()) + sum(WEIGHTS.get(t, 1.0) for t, _, _ in commands))
     counts = {place: max(1, round(each * weight)) for place, weight in weights.items()}
-    late = (PLAN, *EVERYBODYS)
+    early = [
+        p for p in topics if p[1] not in ("robot_bridge", OPERATOR) and p[0] is not PLAN and p[0] not in EVERYBODYS
+    ]
     # from the end of the dataflow to its beginning: what follows from malformed messages is not on the way yet
-    early = [(topic, of) for of in KINDS_BACKWARDS for topic, kind in topics if kind == of and topic not in late]
-    _sent_and_accounted(flood, early, counts)
+    order = sorted(early, key=lambda p: KINDS_BACKWARDS.index(p[1]))
+    _sent_and_accounted(flood, order, counts)
     rig.start("simulator")
     rig.until_ready("simulator")
     _sent_and_accounted(flood, [(ROBOT_STATE, "robot_bridge"), (EXECUTION, "robot_bridge")], counts)
@@ -186,7 +202,7 @@ def flooded(rig: Rig, messages: int, seed: int, huge: bool = True) -> tuple[list
     return flood.rows, flood.notes + told
 
 
-def _sent_and_accounted(flood: Flood, places: list[tuple[Topic, str]], counts: dict[tuple[Topic, str], int]) -> None:
+def _sent_and_accounted(flood: Flood, places: list[Place], counts: dict[Place, int]) -> None:
     for place in places:
         flood.topic(*place, counts[place])
     for place in places:
@@ -203,7 +219,10 @@ def _huge(flood: Flood) -> None:
     for size in (HUGE_BYTES, LARGEST_BYTES):
         flood.topic(PLAN, "planner", 1, iter([bytes(size)]))
     flood.accounts(PLAN, "planner")
-    flood.rows[before:] = [replace(r, attack=f"{r.attack}, with two huge ones") for r in flood.rows[before:]]
+    flood.rows[before:] = [
+        Row(r.attack + ", with two huge ones", r.sent, r.delivered, r.refused, r.dropped, r.missed, r.crashed)
+        for r in flood.rows[before:]
+    ]
 
 
 def _commanded(flood: Flood, topic: Topic, name: str, kind: str, count: int) -> Row:
@@ -222,16 +241,20 @@ def _commanded(flood: Flood, topic: Topic, name: str, kind: str, count: int) -> 
             for outcomes in pool.map(asked, turns, itertools.islice(made, len(turns))):
                 answers.update(outcomes)
     refused = answers[Outcome.REFUSED] + answers[Outcome.UNKNOWN]
-    ended = len(flood.rig.ended())
-    return Row(f"malformed {topic} to {kind}", count, answers[Outcome.ACCEPTED], refused, crashed=ended)
+    return Row(
+        f"malformed {topic} to {kind}", count, answers[Outcome.ACCEPTED], refused, crashed=len(flood.rig.ended())
+    )
 
 
 def _afterwards(flood: Flood) -> Row:
     """Whether a goal gets a plan that can be armed, after all of it."""
-    rig, said = flood.rig, Counter[str]()
+    rig, said, asked = flood.rig, Counter[str](), itertools.count(1)
     places = itertools.cycle((0.5, 0.4, 0.6, 0.3, 0.7))
+    number = 0
 
     def planned() -> bool:
+        nonlocal number
+        number = next(asked)
         threading.Event().wait(ASK_AGAIN_S)
         answer, plan = ask_for_grasp(rig.connection, ARM, Policy.CAPTURE_SLIDE_GRASP, s=next(places))
         if answer.outcome is Outcome.ACCEPTED and plan is not None and plan.status is Status.OK:
@@ -239,14 +262,13 @@ def _afterwards(flood: Flood) -> Row:
         said[answer.reason or (plan.reason if plan is not None else "no plan came")] += 1
         return False
 
-    got = 1
     try:
         rig.until(planned, "a plan", PLAN_S)
-        flood.notes.append(f"afterwards a goal got its plan, at attempt {said.total() + 1}")
+        flood.notes.append(f"afterwards a goal got its plan, at attempt {number}")
+        return Row("afterwards: a goal gets its plan", 1, 1, 0, crashed=len(rig.ended()))
     except TimeoutError as error:
-        got = 0
         flood.notes += [str(error), *(f"  {count} times: {reason}" for reason, count in said.most_common(5))]
-    return Row("afterwards: a goal gets its plan", 1, got, 0, crashed=len(rig.ended()))
+        return Row("afterwards: a goal gets its plan", 1, 0, 0, crashed=len(rig.ended()))
 
 
 def _recorded(flood: Flood) -> Row:
@@ -270,6 +292,10 @@ def _recorded(flood: Flood) -> Row:
     flood.notes.append(f"the recorder said: {said[:300]}")
     sent = sum(flood.sent.values())
     return Row("malformed, all topics, at the recorder", sent, sum(held.values()), unnumbered, 0, lost, len(crashed))
+
+
+def _instance(topic: Topic, kind: str) -> str:
+    return ARM if topic.per_arm or kind == "robot_bridge" else MAIN
 
 
 def _of(account: Any, topic: Topic) -> bool:

@@ -6,7 +6,8 @@ import socket
 import ssl
 from collections.abc import Callable
 
-from tests.rigs.intruder.rig import DESK, Rig, Row, certificates
+from tests.rigs.intruder.rig import DESK, Rig
+from tests.rigs.intruder.rows import Row
 
 WAIT_S = 5.0
 TOLD = re.compile(r"a link was refused: (?P<reason>.*) \((?P<count>\d+) so far\)")
@@ -15,13 +16,18 @@ NAME = "camera.main"
 
 def refused_connections(rig: Rig, count: int) -> list[Row]:
     """A row for each kind; the router tells of the first refused link of a reason and of each hundredth after it."""
-    kinds = {
-        "no certificate": "",
-        "certificate of another authority": "foreign",
-        "certificate out of date": "expired",
-        "no TLS at all": None,
+    address, port = rig.config.hosts[DESK].address, rig.config.router.port
+
+    def connect(folder: str) -> bool:
+        return _gets_in(address, port, _context(rig, folder))
+
+    kinds: dict[str, Callable[[], bool]] = {
+        "no certificate": lambda: connect(""),
+        "certificate of another authority": lambda: connect("foreign"),
+        "certificate out of date": lambda: connect("expired"),
+        "no TLS at all": lambda: _garbage_gets_in(address, port),
     }
-    return [_tried(rig, name, lambda kind=kind: _gets_in(rig, kind), count) for name, kind in kinds.items()]
+    return [_tried(rig, name, attempt, count) for name, attempt in kinds.items()]
 
 
 def _tried(rig: Rig, name: str, attempt: Callable[[], bool], count: int) -> Row:
@@ -44,26 +50,33 @@ def _counted(rig: Rig) -> dict[str, int]:
     return counts
 
 
-def _gets_in(rig: Rig, kind: str | None) -> bool:
-    """Whether the router lets us speak with such certificates, or without TLS.
+def _context(rig: Rig, folder: str) -> ssl.SSLContext:
+    context = ssl.create_default_context(cafile=rig.certificates / "authority.pem")
+    if folder:
+        own = rig.folder / folder / DESK / "certificates"
+        context.load_cert_chain(own / f"{NAME}.pem", own / f"{NAME}.key")
+    return context
 
-    What it refuses it closes, once it has seen the certificate.
-    """
-    address = rig.config.hosts[DESK].address
-    with contextlib.suppress(OSError), socket.create_connection((address, rig.config.router.port), WAIT_S) as plain:
-        if kind is None:
-            plain.sendall(b"no handshake at all" * 20)
-            # an alert of TLS is all that comes
-            return plain.recv(64)[:1] not in (b"", b"\x15")
-        context = ssl.create_default_context(cafile=certificates(rig.folder) / "authority.pem")
-        if kind:
-            own = certificates(rig.folder, kind)
-            context.load_cert_chain(own / f"{NAME}.pem", own / f"{NAME}.key")
-        try:
-            with context.wrap_socket(plain, server_hostname=address) as link:
-                link.settimeout(WAIT_S)
-                return link.recv(1) != b""
-        except TimeoutError:
-            # it waits for us to speak
-            return True
+
+def _gets_in(address: str, port: int, context: ssl.SSLContext) -> bool:
+    """Whether the router lets us speak: what it refuses it closes, once it has seen the certificate."""
+    try:
+        with (
+            socket.create_connection((address, port), WAIT_S) as plain,
+            context.wrap_socket(plain, server_hostname=address) as link,
+        ):
+            link.settimeout(WAIT_S)
+            return link.recv(1) != b""
+    except TimeoutError:
+        # it waits for us to speak
+        return True
+    except OSError:
+        return False
+
+
+def _garbage_gets_in(address: str, port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection((address, port), WAIT_S) as plain:
+        plain.sendall(b"no handshake at all" * 20)
+        # an alert of TLS is all that comes
+        return plain.recv(64)[:1] not in (b"", b"\x15")
     return False

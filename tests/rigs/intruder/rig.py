@@ -30,7 +30,7 @@ from agents.launch.supervisor import Role, Supervisor, supervised
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth
-from schemas.topics import COMMANDS, CONFIGURATION, HEALTH, LOG, MAIN, TOOL, TOPICS, Delivery, Topic, key_root
+from schemas.topics import COMMANDS, CONFIGURATION, HEALTH, LOG, PLAN, TOOL, TOPICS, Delivery, Topic, key_root
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.connection import Connection, connected
 from shared.runtime.identity import identity_in
@@ -49,41 +49,6 @@ LATE_DAYS = 31
 
 class CannotError(RuntimeError):
     """This machine cannot play it; the text says why."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """What became of what was sent.
-
-    Fields:
-        delivered: reached somebody; of malformed messages, those that are valid for all that anybody can tell.
-        refused: counted as such by whoever refused it; None where nobody counts, as with access rules.
-        dropped: newer ones took their place before anybody looked.
-        missed: sequence numbers that never arrived.
-        crashed: processes that ended.
-        barred: whether nothing may be delivered at all.
-    """
-
-    attack: str
-    sent: int
-    delivered: int
-    refused: int | None = None
-    dropped: int | None = None
-    missed: int | None = None
-    crashed: int = 0
-    barred: bool = False
-
-    @property
-    def unaccounted(self) -> int | None:
-        """Messages of which nobody tells; None where access rules deny in silence."""
-        if self.refused is None:
-            return None
-        return self.sent - self.delivered - self.refused - (self.dropped or 0) - (self.missed or 0)
-
-    @property
-    def good(self) -> bool:
-        """Whether it came to nothing."""
-        return not self.crashed and not self.unaccounted and not (self.barred and self.delivered)
 
 
 def own_address() -> str:
@@ -110,6 +75,7 @@ class Heard:
     health: dict[str, AgentHealth] = field(default_factory=dict[str, AgentHealth])
     faults: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     logged: list[tuple[str, str]] = field(default_factory=list[tuple[str, str]])
+    plans: list[Any] = field(default_factory=list[Any])
 
     def take(self, tapped: Tapped) -> None:
         """Count a message; of what cannot be read, nothing more is known."""
@@ -118,17 +84,20 @@ class Heard:
         self.times_s[tapped.key, run].append(monotonic_s())
         if tapped.beside is not None:
             self.newest[tapped.key, tapped.beside.epoch] = tapped.beside.sequence
-        if tapped.topic in (HEALTH, LOG):
+        if tapped.topic in (HEALTH, LOG, PLAN):
             with contextlib.suppress(MessageError):
-                self._read(tapped.topic, tapped.key.split("/")[2], decode(tapped.topic.message, tapped.payload))
+                self._read(tapped, decode(tapped.topic.message, tapped.payload))
 
-    def _read(self, topic: Topic, kind: str, message: Any) -> None:
-        if topic is HEALTH and message.agent == kind:
+    def _read(self, tapped: Tapped, message: Any) -> None:
+        kind = tapped.key.split("/")[2]
+        if tapped.topic is HEALTH and message.agent == kind:
             self.health[kind] = message
             if message.fault.startswith("a step failed"):
                 self.faults[kind].add(message.fault)
-        elif topic is LOG:
+        elif tapped.topic is LOG:
             self.logged.append((kind, message.text))
+        elif tapped.topic is PLAN:
+            self.plans.append(message)
 
 
 @dataclass
@@ -143,17 +112,22 @@ class Rig:
     _stack: contextlib.ExitStack
     _sessions: dict[str, zenoh.Session] = field(default_factory=dict[str, zenoh.Session])
 
+    @property
+    def certificates(self) -> Path:
+        """Where valid certificates lie."""
+        return self.folder / "made" / DESK / CERTIFICATES
+
     def session(self, name: str) -> zenoh.Session:
         """A session that shows the certificate of that common name."""
         if name not in self._sessions:
-            settings = SessionSettings(RIG, self.config.router_endpoint, identity_in(certificates(self.folder), name))
+            settings = SessionSettings(RIG, self.config.router_endpoint, identity_in(self.certificates, name))
             self._sessions[name] = self._stack.enter_context(open_session(settings))
         return self._sessions[name]
 
     def start(self, *names: str) -> None:
         """Start processes, as `runs` writes them."""
         for name in names:
-            _start(self.supervisor, self.folder, name)
+            start(self.supervisor, self.folder, name)
 
     def until_ready(self, *kinds: str) -> None:
         """Wait for the health of these."""
@@ -182,8 +156,10 @@ class Rig:
         return key_root(RIG, instance, kind)
 
 
-def _start(supervisor: Supervisor, folder: Path, name: str) -> None:
-    extra = {BRIDGE: ("--arm", ARM), "recorder": ("--output", str(folder / "session.mcap"))}.get(name, ())
+def start(supervisor: Supervisor, folder: Path, name: str) -> None:
+    """Start a process of the rig."""
+    extra = ("--arm", ARM) if name == BRIDGE else ()
+    extra = ("--output", str(folder / "session.mcap")) if name == "recorder" else extra
     roles = {ROUTER: Role.ROUTER, "recorder": Role.RECORDER}
     arguments = [*words(COMMANDS_OF.get(name, name)), *extra, "--config", str(folder / "rig.json")]
     supervisor.add(name, arguments, folder / f"{name}.log", roles.get(name, Role.AGENT))
@@ -199,7 +175,7 @@ def secured_rig(folder: Path, *names: str) -> Generator[Rig]:
     config = _described(folder)
     with contextlib.ExitStack() as stack:
         supervisor = stack.enter_context(supervised(restart=False))
-        _start(supervisor, folder, ROUTER)
+        start(supervisor, folder, ROUTER)
         connection = stack.enter_context(connected(config.session, STARTS_S))
         heard = Heard()
         connection.listen(tuple(t for t in TOPICS if t.delivery is not Delivery.COMMAND), heard.take)
@@ -213,7 +189,7 @@ def _described(folder: Path) -> RigConfig:
         "rig": RIG,
         "router": RouterSection(host=DESK, port=int(free_local_endpoint().rsplit(":", 1)[1])),
         "hosts": {DESK: HostSection(address=own_address(), runs=RUNS)},
-        "security": SecuritySection(certificates=certificates(folder)),
+        "security": SecuritySection(certificates=folder / "made" / DESK / CERTIFICATES),
         "camera": CameraSection(rate_hz=3.0),
         "robot": {ARM: ArmSection()},
         "simulator": SimulatorSection(config="easy", background="plain"),
@@ -229,16 +205,6 @@ def _described(folder: Path) -> RigConfig:
     rig = rig.model_copy(update={"host": DESK})
     write_config(folder / "rig.json", rig)
     return rig
-
-
-def certificates(folder: Path, kind: str = "made") -> Path:
-    """Where valid certificates lie, or others of that kind: foreign, expired."""
-    return folder / kind / DESK / CERTIFICATES
-
-
-def instance_of(topic: Topic, kind: str) -> str:
-    """Whose key of a topic an agent of that kind has."""
-    return ARM if topic.per_arm or kind == "robot_bridge" else MAIN
 
 
 def owned_topics() -> list[tuple[Topic, str]]:

@@ -13,7 +13,8 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import send_command
 from shared.runtime.delivery import declare_publisher, subscribe
 from tests.rigs.intruder.malformed import valid_messages
-from tests.rigs.intruder.rig import ARM, OPERATOR, Rig, Row, instance_of, owned_topics
+from tests.rigs.intruder.rig import ARM, OPERATOR, Rig, owned_topics
+from tests.rigs.intruder.rows import Row
 
 INTRUDER = "perception"
 EPOCH = 0xBAD
@@ -25,7 +26,7 @@ QUESTIONS = ("clock", "progress", "facts", "link")
 def forged(rig: Rig) -> list[Row]:
     """Puts, deletes, histories, answers, presence and commands; none of it may reach anybody."""
     session = rig.session(f"{INTRUDER}.main")
-    keys = [(key(rig.config.rig, t, instance_of(t, kind), kind), t) for t, kind in owned_topics() if kind != INTRUDER]
+    keys = [(key(rig.config.rig, t, _instance(t, kind), kind), t) for t, kind in owned_topics() if kind != INTRUDER]
     keys.append((key(rig.config.rig, REPLAY_CLOCK), REPLAY_CLOCK))
     return [*_published(rig, session, keys), _told_late(rig, session, keys), *_answered(rig, session)]
 
@@ -43,6 +44,10 @@ def commands_of_rig(rig: Rig) -> list[tuple[Topic, str, str]]:
             instance = ARM if topic.per_arm or (topic is SET and kind == "robot_bridge") else MAIN
             found.append((topic, key(rig.config.rig, topic, instance, agent), kind))
     return found
+
+
+def _instance(topic: Topic, kind: str) -> str:
+    return ARM if topic.per_arm or kind == "robot_bridge" else MAIN
 
 
 def _published(rig: Rig, session: zenoh.Session, keys: list[tuple[str, Topic]]) -> list[Row]:
@@ -71,40 +76,48 @@ def _published(rig: Rig, session: zenoh.Session, keys: list[tuple[str, Topic]]) 
 
 def _told_late(rig: Rig, session: zenoh.Session, keys: list[tuple[str, Topic]]) -> Row:
     """What whoever comes late is told of states and events: by their owners alone."""
-    told = [0]
-    kept = [(name, topic) for name, topic in keys if topic.delivery in (Delivery.STATE, Delivery.EVENT)]
-    publishers: list[Any] = [declare_publisher(session, name, topic) for name, topic in kept]
-    for publisher in publishers:
-        publisher.put(b"forged", attachment=pack(Attachment(EPOCH, 0, now_ns(), 0.0)))
+    told, sent = [0], 0
+    publishers: list[Any] = []
+    for name, topic in keys:
+        if topic.delivery in (Delivery.STATE, Delivery.EVENT):
+            publishers.append(declare_publisher(session, name, topic))
+            publishers[-1].put(b"forged", attachment=pack(Attachment(EPOCH, 0, now_ns(), 0.0)))
+            sent += 1
 
     def hear(sample: zenoh.Sample) -> None:
         told[0] += sample.payload.to_bytes() == b"forged"
 
     late: list[Any] = []
-    for name, topic in kept:
-        late += subscribe(rig.session(f"{OPERATOR}.desk"), name, topic, hear, lambda _: None)
+    for name, topic in keys:
+        if topic.delivery in (Delivery.STATE, Delivery.EVENT):
+            late += subscribe(rig.session(f"{OPERATOR}.desk"), name, topic, hear, lambda _: None)
     threading.Event().wait(NEVER_AFTER_S)
     for declared in (*late, *publishers):
         declared.undeclare()
-    return Row("another's history", len(kept), told[0], barred=True)
+    return Row("another's history", sent, told[0], barred=True)
 
 
 def _answered(rig: Rig, session: zenoh.Session) -> list[Row]:
     """Commands that it gives and those that it would answer, questions that it would answer, and presence."""
-    valid, answers, given = valid_messages(ARM), 0, 0
+    valid, asked, answers, given = valid_messages(ARM), 0, 0, 0
     reached: list[str] = []
-    # what it would ask itself would never leave its process
-    others = [(topic, name, kind) for topic, name, kind in commands_of_rig(rig) if kind != INTRUDER]
-    for topic, name, _ in others:
+    for topic, name, kind in commands_of_rig(rig):
+        if kind == INTRUDER:
+            # what it would ask itself would never leave its process
+            continue
+        asked += 1
         encoding = encoding_name(topic.message)
         answers += sum(1 for _ in session.get(name, payload=valid[topic](), encoding=encoding, timeout=ASKED_S))
+    kept: list[Any] = []
 
     def answer(query: zenoh.Query) -> None:
         reached.append(str(query.key_expr))
         query.reply(query.key_expr, encode(CommandAnswer("x", Outcome.ACCEPTED, "", "")))
         query.drop()
 
-    kept: list[Any] = [session.declare_queryable(name, answer, complete=True) for _, name, _ in others]
+    others = [(t, name, kind) for t, name, kind in commands_of_rig(rig) if kind != INTRUDER]
+    for _, name, _ in others:
+        kept.append(session.declare_queryable(name, answer, complete=True))
     for kind in ("camera", "planner", "simulator", "robot_bridge"):
         kept += [session.declare_queryable(f"{rig.root(kind)}/{q}", answer, complete=True) for q in QUESTIONS]
         kept.append(session.liveliness().declare_token(rig.root(kind)))
@@ -129,7 +142,7 @@ def _answered(rig: Rig, session: zenoh.Session) -> list[Row]:
         declared.undeclare()
     crashed = len(rig.ended())
     return [
-        Row("commands given by an agent", len(others), answers, crashed=crashed, barred=True),
+        Row("commands given by an agent", asked, answers, crashed=crashed, barred=True),
         Row("commands and questions answered for another", given, len(reached), crashed=crashed, barred=True),
         Row("presence of another", 2, len(present), crashed=crashed, barred=True),
     ]
