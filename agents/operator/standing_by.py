@@ -2,7 +2,7 @@
 
 Holds on their way: each goes out at once, and none waits for the answer to another.
 
-Commands of the page on their way; holds go theirs (holding.py), so that none ever waits behind a goal.
+Commands of the page on their way; holds go theirs, so that none ever waits behind a goal.
 """
 
 import asyncio

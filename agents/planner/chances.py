@@ -1,7 +1,7 @@
 """How likely a grasp succeeds from each capture and with each way to hold the tool.
 
 `geometric`: the probability that the thread lies in the wedge that the fingers sweep (`wedge.py`), times that of
-keeping it on the way (`slide.py`), from the posterior covariance of the reconstruction and the errors of the tool.
+keeping it on the way, from the posterior covariance of the reconstruction and the errors of the tool.
 `paper`: the reconstruction's own confidence, P(s) · 0.99^steps, for all ways alike. A reconstruction that tells of no
 covariance is planned on by the latter.
 

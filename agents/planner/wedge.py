@@ -15,7 +15,7 @@ difference is smooth but for the corner at z = ℓ cos θ/2, so each side of it 
 of it lies within 6 σ_z, before and behind the mean apart.
 
 The thread runs along the pin, and fingers 2 mm wide see it as straight, so how it runs within that width makes no
-difference; a slant by α moves it by 1 mm tan α, which counts as a deviation of its own (`errors.py`).
+difference; a slant by α moves it by 1 mm tan α, which counts as a deviation of its own.
 
 How far the thread may be from where the fingers are taken to be, in the camera frame.
 

@@ -2,7 +2,7 @@
 
 How old the newest camera frame is, by the bridge's clock: a motion must not go on where nobody sees it.
 
-Frames echo the bridge's challenges (presence.py). A frame that echoes a challenge was taken after that was issued, so
+Frames echo the bridge's challenges. A frame that echoes a challenge was taken after that was issued, so
 the time since then bounds its age, and a queue that is as long all the time cannot make an old frame pass for a new
 one. A camera that tells no frames at all is an older recording's, or a simulated arm's without one: nothing is known
 then, which speaks against moving a real arm alone.

@@ -3,7 +3,7 @@
 Of corrections drawn from what is known beforehand, the best are kept and others drawn around them, again and again (the
 cross-entropy method: Rubinstein, 1999), in both eyes at once. What counts is here how much pixels look like an
 instrument: points within it should, and points beside and beyond it should not. Several starts guard against a wrong
-one; lines.py begins with something else.
+one.
 
 How well the long edges of an instrument lie on edges of the images, whatever colour is on either side.
 

@@ -274,7 +274,7 @@ class Desk:
         for page in self.pages.values():
             self.network.carry(f"to {page.name}", lambda page=page: setattr(page, "drawn", stamp))
 
-    # the way of its commands (agents/operator/carrying_out.py)
+    # the way of its commands (agents/operator/standing_by.py)
 
     def beat(self, effect: BeatNow) -> None:
         """One heartbeat, of a person who presses, to bridge and guard."""
