@@ -53,7 +53,7 @@ test test-all coverage: export OPENCV_FOR_THREADS_NUM := 1
 # some machines forbid it to all programs; hundreds of processes would compile everything anew
 test test-all coverage: export PYTHONDONTWRITEBYTECODE :=
 # what computes takes what the rigs leave of the cores, for rigs have limits
-test: .venv/dev.done ## in some three minutes: all that computes; a demo, an arm that is held, a router that is killed; ARGS="..." for some
+test: .venv/dev.done ## in some two minutes: all that computes; a demo, an arm that is held, a router that is killed; ARGS="..." for some
 ifeq ($(ARGS),)
 	@mkdir -p out; $(PYTEST) -o cache_dir=.pytest_cache/essential -m essential $(ESSENTIAL) > out/essential.log 2>&1 & rigs=$$!; \
 	TESTS_BESIDE_RIGS=1 $(PYTEST) $(PARALLEL) -m "not ($(LATER))"; computing=$$?; \
