@@ -52,12 +52,11 @@ test test-all coverage: export OPENBLAS_NUM_THREADS := 1
 test test-all coverage: export OPENCV_FOR_THREADS_NUM := 1
 # some machines forbid it to all programs; hundreds of processes would compile everything anew
 test test-all coverage: export PYTHONDONTWRITEBYTECODE :=
-# what computes takes what the rigs leave of the cores, for rigs have limits
+# the rigs first and alone, for they have limits; then what computes, in parallel
 test: .venv/dev.done ## in some two minutes: all that computes; a demo, an arm that is held, a router that is killed; ARGS="..." for some
 ifeq ($(ARGS),)
-	@mkdir -p out; $(PYTEST) -o cache_dir=.pytest_cache/essential -m essential $(ESSENTIAL) > out/essential.log 2>&1 & rigs=$$!; \
-	TESTS_BESIDE_RIGS=1 $(PYTEST) $(PARALLEL) -m "not ($(LATER))"; computing=$$?; \
-	wait $$rigs; rigs=$$?; cat out/essential.log; exit $$((computing + rigs))
+	@$(PYTEST) -o cache_dir=.pytest_cache/essential -m essential $(ESSENTIAL); rigs=$$?; \
+	$(PYTEST) $(PARALLEL) -m "not ($(LATER))"; exit $$((rigs + $$?))
 else
 	@$(PYTEST) $(ARGS)
 endif

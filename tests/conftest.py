@@ -6,14 +6,12 @@ does not wait for them), and whatever is started is ended, or ends with the proc
 
 import contextlib
 import faulthandler
-import os
 import threading
 
 import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
-from agents.launch.process import step_back
 from shared.clock import monotonic_s
 from shared.runtime.runner import Runner
 from shared.runtime.session import RouterError, SessionSettings, free_local_endpoint, open_router, open_session
@@ -21,7 +19,6 @@ from shared.runtime.session import RouterError, SessionSettings, free_local_endp
 DEADLINE_S = 60.0
 EXIT_S = 60.0
 STANDARD_ERROR = 2
-BESIDE_RIGS, FARTHEST_BACK = "TESTS_BESIDE_RIGS", 19
 
 # how long an example takes says more about what else the machine does
 # the same examples every time, for what a landing depends on must not be drawn by chance; and not more than pays
@@ -29,13 +26,6 @@ hypothesis_settings.register_profile(
     "patient", deadline=None, derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.too_slow]
 )
 hypothesis_settings.load_profile("patient")
-
-
-def pytest_configure(config):
-    """A worker beside whole rigs leaves them the processors: niceness counts within a session, so it needs its own."""
-    if hasattr(config, "workerinput") and BESIDE_RIGS in os.environ:
-        os.setsid()
-        step_back(FARTHEST_BACK)
 
 
 @pytest.hookimpl(trylast=True)
