@@ -1,8 +1,9 @@
 """What an operator does: say which thread is meant, name a goal, arm a plan and stand by it with a heartbeat, hold."""
 
+import contextlib
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,10 +63,10 @@ END = (ExecutionKind.FINISHED, ExecutionKind.HELD)
 class Events:
     """Messages of one event topic in the order in which they came."""
 
-    def __init__(self, connection: Connection, topic: Topic) -> None:
+    def __init__(self, topic: Topic) -> None:
         self._topic = topic
         self._queue: queue.Queue[Tapped] = queue.Queue()
-        connection.listen((topic,), self._queue.put)
+        self.put = self._queue.put
 
     def next(self, timeout_s: float) -> object | None:
         """The next message that can be read; None where none came in time."""
@@ -80,6 +81,14 @@ class Events:
         return None
 
 
+@contextlib.contextmanager
+def events_of(connection: Connection, topic: Topic) -> Generator[Events]:
+    """The events of a topic from now on, for as long as they are listened to."""
+    events = Events(topic)
+    with connection.listening((topic,), events.put):
+        yield events
+
+
 def ask_for_grasp(
     connection: Connection,
     arm: str,
@@ -92,16 +101,16 @@ def ask_for_grasp(
     from_swage_m: float | None = None,
 ) -> tuple[CommandAnswer, GraspPlan | None]:
     """Send a goal; its answer and, where it was accepted, the plan or rejection that followed (None: none came)."""
-    plans = Events(connection, PLAN)
     goal = GraspGoal(new_header(SENDER), arm, policy, s, pixel, point_camera, attempts, from_swage_m)
-    answer = connection.command(GOAL, goal)
-    if answer.outcome is not Outcome.ACCEPTED:
-        return answer, None
-    deadline_s = monotonic_s() + PLAN_WAIT_S
-    while (left_s := deadline_s - monotonic_s()) > 0:
-        plan = plans.next(left_s)
-        if isinstance(plan, GraspPlan) and plan.goal_id == goal.header.id:
-            return answer, plan
+    with events_of(connection, PLAN) as plans:
+        answer = connection.command(GOAL, goal)
+        if answer.outcome is not Outcome.ACCEPTED:
+            return answer, None
+        deadline_s = monotonic_s() + PLAN_WAIT_S
+        while (left_s := deadline_s - monotonic_s()) > 0:
+            plan = plans.next(left_s)
+            if isinstance(plan, GraspPlan) and plan.goal_id == goal.header.id:
+                return answer, plan
     return answer, None
 
 
@@ -125,13 +134,12 @@ class Stood:
 class _Told:
     """What an arm's bridge tells: its newest state, which is its challenge, and how long there was none."""
 
-    def __init__(self, connection: Connection, arm: str) -> None:
+    def __init__(self, arm: str) -> None:
         self._arm, self._heard_s, self._came = arm, monotonic_s(), threading.Event()
         self._newest: Tapped | None = None
         self._answered_ns = 0
-        connection.listen((ROBOT_STATE,), self._take)
 
-    def _take(self, tapped: Tapped) -> None:
+    def take(self, tapped: Tapped) -> None:
         if tapped.key.split("/")[INSTANCE] == self._arm:
             self._heard_s, self._newest = monotonic_s(), tapped
             self._came.set()
@@ -179,7 +187,7 @@ def arm_and_stand_by(
 
     A process that answers by itself proves nobody's presence: a real arm needs its console's pedal pressed beside it.
     """
-    events, bridge = Events(connection, EXECUTION), _Told(connection, arm)
+    bridge = _Told(arm)
     arming_id, awake_until_s = [""], [monotonic_s() + ARMING_S]
 
     def beat(at_ns: int) -> Heartbeat | None:
@@ -195,7 +203,11 @@ def arm_and_stand_by(
         state = bridge.state()
         return Stood(answer, end, left, is_real=state is None or state.is_real)
 
-    with connection.repeating(HEARTBEAT, arm, HEARTBEAT_HZ, beat):
+    with (
+        events_of(connection, EXECUTION) as events,
+        connection.listening((ROBOT_STATE,), bridge.take),
+        connection.repeating(HEARTBEAT, arm, HEARTBEAT_HZ, beat),
+    ):
         answer = _armed(connection, arm, plan_id, arming_id, bridge)
         if answer.outcome is not Outcome.ACCEPTED:
             return stood()

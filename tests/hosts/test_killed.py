@@ -69,9 +69,11 @@ def health(heard):
 
 @pytest.fixture
 def planned(heard, until):
-    """A plan that can be armed."""
+    """A plan that can be armed, asked for whenever there is a newer thread."""
 
     def ask():
+        seen = len(threads(heard))
+        until(lambda: len(threads(heard)) > seen, "a newer thread")
         for s in (0.5, 0.4, 0.6, 0.3, 0.7):
             answer, plan = ask_for_grasp(heard.connection, "psm1", Policy.CAPTURE_SLIDE_GRASP, s=s)
             if answer.outcome is Outcome.ACCEPTED and plan is not None and plan.status is Status.OK:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agents.cli.demo.report import report
-from agents.cli.live.attempts import Attempts
+from agents.cli.live.attempts import Attempts, attempts_on
 from agents.cli.live.command import event_sentence, percent, plan_sentence
 from agents.cli.live.options import Demo
 from agents.cli.live.up import FIRST_CONTACT_S, start_all, write_config
@@ -181,7 +181,12 @@ def _grasp(story: Story, attempts: int) -> GraspJudgement:
     mean = sum(float(thread.confidence.mean()) for thread in threads) / len(threads)
     say(f"the thread is seen, with a mean confidence of {mean:.2f}")
     goals = goals_of(threads, GOALS, LEAST_PROBABILITY)
-    plan, grasps = _plan(story, goals), Attempts(story.connection)
+    with attempts_on(story.connection) as grasps:
+        return _carried_out(story, goals, grasps, attempts)
+
+
+def _carried_out(story: Story, goals: list[tuple[float, float]], grasps: Attempts, attempts: int) -> GraspJudgement:
+    plan = _plan(story, goals)
     for left in reversed(range(ARMINGS)):
         stood = arm_and_stand_by(
             story.connection, ARM, plan.plan_id, story.stopped, lambda event: say(event_sentence(event))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from agents.cli.experiment.terminal import Attendant, LeftError, Person
 from agents.cli.live.command import POLICIES, event_sentence, plan_sentence
 from agents.experiment.journal import Attempt, Cause, Trial
-from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp
+from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, events_of
 from agents.robot_bridge.plans import AGAINST_PLAN
 from schemas.checks import MessageError
 from schemas.codec import decode
@@ -22,7 +22,7 @@ from schemas.messages import (
     ThreadReconstruction,
     Verdict,
 )
-from schemas.topics import JUDGEMENT, MAIN, THREAD, Topic
+from schemas.topics import JUDGEMENT, MAIN, THREAD
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
@@ -95,7 +95,11 @@ def _moved(trial: Trial, plan: GraspPlan, rig: Rig) -> Attempt | str:
         slide_m=plan.slide_m,
         at_ns=now_ns(),
     )
-    verdicts = _heard(rig.connection, JUDGEMENT) if rig.simulated else None
+    with events_of(rig.connection, JUDGEMENT) as verdicts:
+        return _carried_out(made, plan, verdicts, rig)
+
+
+def _carried_out(made: Attempt, plan: GraspPlan, verdicts: Events, rig: Rig) -> Attempt | str:
     began_s = monotonic_s()
     stood = arm_and_stand_by(rig.connection, rig.arm, plan.plan_id, rig.stopped, lambda e: say(event_sentence(e)))
     took_s = monotonic_s() - began_s
@@ -132,17 +136,14 @@ def _stopped(made: Attempt, stood: Stood, rig: Rig) -> Attempt | str:
     return made.model_copy(update={"outcome": "failed", "cause": cause, "note": note})
 
 
-def _verdict(plan: GraspPlan, verdicts: "queue.Queue[Tapped] | None", rig: Rig) -> tuple[bool, Cause | None, str]:
-    if verdicts is None:
+def _verdict(plan: GraspPlan, verdicts: Events, rig: Rig) -> tuple[bool, Cause | None, str]:
+    if not rig.simulated:
         assert isinstance(rig.attendant, Person)  # noqa: S101 - only a person gives a verdict of a real grasp
         return rig.attendant.verdict()
     deadline_s = monotonic_s() + VERDICT_S
     while (left_s := deadline_s - monotonic_s()) > 0:
-        try:
-            judged = decode(GraspJudgement, verdicts.get(timeout=left_s).payload)
-        except (queue.Empty, MessageError):
-            continue
-        if judged.plan_id == plan.plan_id:
+        judged = verdicts.next(left_s)
+        if isinstance(judged, GraspJudgement) and judged.plan_id == plan.plan_id:
             return judged.verdict is Verdict.HELD, CAUSE_OF.get(judged.verdict), judged.sentence
     raise ExperimentError("the simulator gave no verdict; look at its log")
 
@@ -198,9 +199,3 @@ def _wait_for_thread(rig: Rig, from_ns: int, deadline_s: float) -> str:
                 return ""
             why = thread.reason
     return why
-
-
-def _heard(connection: Connection, topic: Topic) -> "queue.Queue[Tapped]":
-    heard: queue.Queue[Tapped] = queue.Queue()
-    connection.listen((topic,), heard.put)
-    return heard

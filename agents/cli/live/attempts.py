@@ -1,6 +1,9 @@
 """What a planner's own check says of a grasp that was carried out, and the plan for the next attempt."""
 
-from agents.operator.operator import Events
+import contextlib
+from collections.abc import Generator
+
+from agents.operator.operator import Events, events_of
 from schemas.messages import GraspCheck, GraspPlan, Status
 from schemas.topics import CHECK, PLAN
 from shared.clock import monotonic_s
@@ -10,11 +13,18 @@ CHECK_S, NEXT_PLAN_S = 5.0, 2.0
 """How long a check may take after the end of a grasp: the planner waits 2 s for a frame that tells."""
 
 
-class Attempts:
-    """Checks and plans as they come; listening begins before anything is armed."""
+@contextlib.contextmanager
+def attempts_on(connection: Connection) -> Generator["Attempts"]:
+    """Checks and plans from now on, for as long as they are listened to: before anything is armed."""
+    with events_of(connection, CHECK) as checks, events_of(connection, PLAN) as plans:
+        yield Attempts(checks, plans)
 
-    def __init__(self, connection: Connection) -> None:
-        self._checks, self._plans = Events(connection, CHECK), Events(connection, PLAN)
+
+class Attempts:
+    """Checks and plans as they come."""
+
+    def __init__(self, checks: Events, plans: Events) -> None:
+        self._checks, self._plans = checks, plans
 
     def check_of(self, plan_id: str) -> GraspCheck | None:
         """What was seen after a plan; None where nothing comes."""

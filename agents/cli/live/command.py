@@ -6,7 +6,7 @@ import threading
 
 import numpy as np
 
-from agents.cli.live.attempts import Attempts
+from agents.cli.live.attempts import attempts_on
 from agents.cli.live.options import (
     ArmPlan,
     ChangeArmState,
@@ -16,7 +16,7 @@ from agents.cli.live.options import (
 )
 from agents.configuration.rig import RigConfig
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
+from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, change_state, events_of, hold, prompt
 from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
 from schemas.topics import EXECUTION
 from shared.clock import monotonic_s
@@ -86,8 +86,7 @@ def arm(rig: RigConfig, options: ArmPlan) -> int:
         return complain("give the id of a plan, as goal prints it, and at least one attempt", EXIT_UNUSABLE)
     stopped, plan_id = threading.Event(), options.plan
     on_stop(stopped.set)
-    with connected(rig.session) as connection:
-        attempts = Attempts(connection)
+    with connected(rig.session) as connection, attempts_on(connection) as attempts:
         for left in reversed(range(options.attempts)):
             stood = arm_and_stand_by(connection, options.arm, plan_id, stopped, lambda e: say(event_sentence(e)))
             outcome = _outcome(stood)
@@ -144,8 +143,7 @@ def hold_arm(rig: RigConfig, options: HoldArm) -> int:
 
 def change_arm_state(rig: RigConfig, options: ChangeArmState) -> int:
     """Have an arm's console change its state."""
-    with connected(rig.session) as connection:
-        events = Events(connection, EXECUTION)
+    with connected(rig.session) as connection, events_of(connection, EXECUTION) as events:
         answer = change_state(connection, options.arm, StateWord[options.word.upper()])
         if answer.outcome is not Outcome.ACCEPTED:
             return complain(answer.reason, EXIT_REFUSED)

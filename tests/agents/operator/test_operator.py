@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -39,6 +40,7 @@ from tests.agents.operator.by_hand import (
 )
 
 NEVER = threading.Event()
+TASKS = Path("/proc/self/task")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -206,6 +208,15 @@ def test_commands_without_receiver_have_an_unknown_outcome(settings):
         answer, plan = ask_for_grasp(connection, "psm1", Policy.DIRECT, s=0.5)
     assert (answer.outcome, plan) == (Outcome.UNKNOWN, None)
     assert "planner" in answer.reason
+
+
+def test_what_is_asked_again_and_again_leaves_nothing_that_listens(settings, until):
+    with connected(settings) as connection:
+        ask_for_grasp(connection, "psm1", Policy.DIRECT, s=0.5)
+        before = len(list(TASKS.iterdir()))
+        for _ in range(20):
+            ask_for_grasp(connection, "psm1", Policy.DIRECT, s=0.5)
+        until(lambda: len(list(TASKS.iterdir())) <= before + 2, "threads of listeners to end")
 
 
 def test_perception_answers_a_prompt(settings, in_threads, until):
