@@ -1,5 +1,6 @@
 """An experiment as a person meets it: mistakes, what is asked, and that a killed one goes on where it was."""
 
+import contextlib
 import dataclasses
 import json
 import subprocess
@@ -77,6 +78,7 @@ def test_an_experiment_ends_where_plan_after_plan_is_refused_for_the_moment(trie
     answer = CommandAnswer("c", Outcome.REFUSED, "old_plan", "the plan is from a thread seen 4000 ms ago")
     monkeypatch.setattr(trial, "_plan", lambda *_: plan())
     monkeypatch.setattr(trial, "arm_and_stand_by", lambda *_: Stood(answer, None, ""))
+    monkeypatch.setattr(trial, "events_of", lambda *_: contextlib.nullcontext(None))
     monkeypatch.setattr(Nobody, "stuck", lambda *_: None)
     stopped = threading.Event()
     rig = Rig(None, "psm1", Nobody(stopped), False, stopped, lambda: None)  # pyright: ignore[reportArgumentType] - nothing is sent

@@ -167,7 +167,7 @@ class Attempted:
 def test_on_a_real_arm_no_further_attempt_arms_itself(suturegrasp, nowhere, monkeypatch, is_real, armed):
     command, attempted = "agents.cli.live.command", Attempted(is_real)
     monkeypatch.setattr(f"{command}.connected", lambda _settings: contextlib.nullcontext(None))
-    monkeypatch.setattr(f"{command}.Attempts", lambda _connection: attempted)
+    monkeypatch.setattr(f"{command}.attempts_on", lambda _connection: contextlib.nullcontext(attempted))
     monkeypatch.setattr(f"{command}.arm_and_stand_by", attempted.arm)
     monkeypatch.setattr(f"{command}.plan_sentence", lambda plan: plan.plan_id)
     ended = suturegrasp("arm", "plan-1", "--attempts", "3", "--config", nowhere)
