@@ -1,7 +1,4 @@
-"""One look at the field: a frame through perception and reconstruction, and where goals lie on what they found.
-
-What came of a trial, as the journal keeps it.
-"""
+"""One look at the field: a frame through perception and reconstruction, and where goals lie on what they found."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

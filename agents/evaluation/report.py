@@ -1,8 +1,6 @@
-"""The report of an evaluation: one HTML file with tables, diagrams and pictures in it.
+"""The report of an evaluation: one HTML file with tables, diagrams and pictures in it, and JSON for programs.
 
-Diagrams as SVG.
-
-The results for programs.
+Diagrams are SVG.
 """
 
 import base64

@@ -3,7 +3,8 @@
 Goals on one thread share its reconstruction and are not independent, so intervals come from drawing whole threads anew
 (shared/success_rates.py). McNemar's test of paired goals stands beside them, and takes goals for independent.
 
-Whether promised probabilities hold: how often grasps of a promise came true, and how much better than no promise.
+Whether promised probabilities hold is told by how often grasps of a promise came true, and how much better than no
+promise.
 
 The Brier score is the mean of (p − o)² over trials with promise p and outcome o, 0 or 1; its skill is 1 − BS / BS₀
 with BS₀ that of always promising the base rate (Brier, Monthly Weather Review 78, 1950; Murphy, J. Appl. Meteorol. 12,

@@ -1,8 +1,6 @@
-"""The results as Markdown: Table I with the paper's rows beside ours, and what the figures are worth.
-
-Success over the size of the tool's error, and the error at which it falls to a given share.
-
-The least time that a plan's way takes at the limits of speed, were there none of acceleration and jerk.
+"""The results as Markdown: Table I with the paper's rows beside ours, and what the figures are worth: among them
+success over the size of the tool's error, and the least time that a plan's way takes at the limits of speed, were there
+none of acceleration and jerk.
 
 From one pose to the next the tool needs max(|Δp| / v, |Δangle| / ω, |Δjaw| / j); where there may be thread between the
 fingers, v, ω and j are those of contact.

@@ -1,8 +1,5 @@
-"""What the agents said of themselves: how they fared, what they dropped, their faults and their logs.
-
-What a session was run with: what the recorder noted, versions, calibration, the simulated scene.
-
-How long it takes from capture until each stage has published, and how much of that each stage adds.
+"""What the agents said of themselves: how they fared, what they dropped, their faults and their logs;
+what the session was run with; and how long it takes from capture until each stage has published.
 
 A result carries the capture time of the images that it descends from. So what one stage adds to a frame is the time
 from the publication of the stage before until its own, for messages of one capture; on the way between two hosts the

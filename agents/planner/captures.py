@@ -1,6 +1,5 @@
-"""All captures for one goal: how likely each is, what speaks against it, and how the tool can be held for it.
-
-Which capture, way to hold the tool, depth and opening of the jaws a plan takes.
+"""All captures for one goal: how likely each is, what speaks against it, and how the tool can be held for it;
+and which of them, with which depth and opening of the jaws, a plan takes.
 
 With the paper's model depth and openings are set. With the geometric one each combination of a depth, an opening for
 the approach and one for the slide is a grip of its own. Of each depth the likeliest, as if nothing were in the way, is

@@ -5,11 +5,9 @@ keeping it on the way, from the posterior covariance of the reconstruction and t
 `paper`: the reconstruction's own confidence, P(s) · 0.99^steps, for all ways alike. A reconstruction that tells of no
 covariance is planned on by the latter.
 
-How likely the thread stays between the fingers from the capture to the goal.
-
-What is off at the capture is mostly off everywhere: the errors of tool and registration are the same all along a
-slide, and only the error of the reconstruction changes along the thread. So a grasp is followed for a fixed set of
-errors drawn from one distribution,
+**Keeping the thread** from the capture to the goal: what is off at the capture is mostly off everywhere: the errors of
+tool and registration are the same all along a slide, and only the error of the reconstruction changes along the thread.
+So a grasp is followed for a fixed set of errors drawn from one distribution,
 
     e(s) = c + L(s) ξ(s),   L Lᵀ = Σ(s),   c ~ N(0, Σ_offset + Σ_tool),
 

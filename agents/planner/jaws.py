@@ -5,10 +5,9 @@ FINGER_M, of constant width along the pin and of constant thickness, whose inner
 the jaw angle. The outline is looked at on both faces, at both edges and in their middle, the more densely the nearer
 to the tip.
 
-The instrument as capsules: two fingers, the link of the wrist, and the shaft.
-
-The shaft passes through the remote centre, the origin of the base, and the wrist's link is at right angles to the pin
-and in one plane with it (shared/kinematics/psm.py), so a pose of the tool tells of all of them.
+The whole instrument is four capsules: two fingers, the link of the wrist, and the shaft. The shaft passes through the
+remote centre, the origin of the base, and the wrist's link is at right angles to the pin and in one plane with it
+(shared/kinematics/psm.py), so a pose of the tool tells of all of them.
 """
 
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Had the fingers been where they were taken to be, the grasp would have held with
 which it would likely have missed gain weight: w ∝ N(h) · (ε + (1 − ε)(1 − P(h))), where ε is how often a grasp fails
 for another reason. The weighted draws are put back together as one normal distribution, with which the next attempt is
 planned. Where the reconstruction is so unsure that any offset would have missed, nothing is learned.
-
-The how many-th attempt at a goal a plan is, and what earlier ones have told.
 """
 
 import functools

@@ -17,9 +17,8 @@ of it lies within 6 σ_z, before and behind the mean apart.
 The thread runs along the pin, and fingers 2 mm wide see it as straight, so how it runs within that width makes no
 difference; a slant by α moves it by 1 mm tan α, which counts as a deviation of its own.
 
-How far the thread may be from where the fingers are taken to be, in the camera frame.
-
-Three errors add up, independent of each other, each taken as normal:
+**How far the thread may be from where the fingers are taken to be**: three errors add up, independent of each other,
+each taken as normal:
 
 - of the reconstruction: its posterior covariance at the place;
 - of the tool, new with each attempt: `tool_error_m` per axis;

@@ -1,8 +1,7 @@
 """A shorter recording out of a longer one: to show a moment to somebody, to keep what matters, to test with it.
 
-Files that are made of recordings: they open as a recorder's own do, and say what was done to them.
-
-What every file of a recording begins with, so that each can be read by itself.
+Files that are made of recordings open as a recorder's own do, and say what was done to them. `Head` is what each begins
+with, so that it can be read by itself.
 """
 
 import contextlib

@@ -2,7 +2,7 @@
 
 Room is bounded by number and by bytes, so that a disk that stands still takes no more memory than that.
 
-Whether the disk has room: a recording ends, and says so, before it fills the disk that others write to as well.
+A recording ends, and says so, before it fills the disk that others write to as well.
 """
 
 import os

@@ -2,8 +2,6 @@
 
 A rule may say how a field is measured, how much it may differ, or why it is left out. Without one a field is compared
 as it is: numbers and arrays by their largest difference, all else by whether it is equal.
-
-What a replay sends, in order: recorded messages under their new keys, and commands at the time when they came.
 """
 
 import dataclasses

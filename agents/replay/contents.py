@@ -1,10 +1,6 @@
 """What a recording holds, from one pass over it: how many messages of which keys, when, and where it is damaged.
 
-Which stretch of a recording is meant, in seconds from its start or by the clock on the wall.
-
-Which of a recording's keys are published again, and why the others are not.
-
-By default it is everything, so that a viewer shows what there was, except:
+By default everything is published again, so that a viewer shows what there was, except:
 - what a live agent of the rig publishes itself: of a recorded session, running agents get only what comes from outside
   of them, such as frames;
 - what a robot would act on (plans, heartbeats) and commands. Those have to be named, and agreed to.

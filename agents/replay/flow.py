@@ -4,10 +4,8 @@ Consumers (agents, and listeners such as the recorder) tell which message of eac
 have published themselves (shared/runtime/progress.py). All is settled when each is done with the newest message of each
 key that it listens to, those of other consumers included. One that publishes unasked is not waited for by others.
 
-How well a replay keeps the spacing of what it replays.
-
-Of two messages of one key that follow each other, recorded d apart and sent at rate r, the error is how much their
-sending was more or less than d / r apart.
+How well a replay keeps the spacing is told too: of two messages of one key that follow each other, recorded d apart and
+sent at rate r, the error is how much their sending was more or less than d / r apart.
 """
 
 import threading

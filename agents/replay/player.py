@@ -1,10 +1,7 @@
 """Plays a recording: sends each message when its moment has come, or as fast as consumers take it.
 
-What whoever sits before a replay may do: hold it, let it go on, step to the next frame, end it.
-
-Which moment of a recording it is now, and when another one is due.
-
-The recording's time t goes on at a rate r with this machine's s: t = t0 + r (s − s0). While held, r is 0.
+Whoever sits before it may hold it, let it go on, step to the next frame, and end it. The recording's time t goes on at
+a rate r with this machine's s: t = t0 + r (s − s0). While held, r is 0.
 """
 
 import threading

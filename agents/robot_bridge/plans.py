@@ -1,6 +1,6 @@
 """The last few plans of an arm: which it could be armed with, and why not with the others.
 
-Why the bridge does not move an arm, or stops it: a code for programs, a sentence for people.
+Each reason is a code for programs and a sentence for people.
 """
 
 import enum

@@ -1,17 +1,15 @@
 """How an arm stands: where it was measured, where its base is, what is around it, and why it must not be moved.
 
-How old the newest camera frame is, by the bridge's clock: a motion must not go on where nobody sees it.
+**The age of the newest camera frame** counts by the bridge's clock: a motion must not go on where nobody sees it.
+Frames echo the bridge's challenges. A frame that echoes a challenge was taken after that was issued, so the time since
+then bounds its age, and a queue that is as long all the time cannot make an old frame pass for a new one. A camera that
+tells no frames at all is an older recording's, or a simulated arm's without one: nothing is known then, which speaks
+against moving a real arm alone.
 
-Frames echo the bridge's challenges. A frame that echoes a challenge was taken after that was issued, so
-the time since then bounds its age, and a queue that is as long all the time cannot make an old frame pass for a new
-one. A camera that tells no frames at all is an older recording's, or a simulated arm's without one: nothing is known
-then, which speaks against moving a real arm alone.
-
-Whether somebody stands by, by challenge and answer: who acts asks, by its own clock.
-
-The bridge's challenge is the time at which it issued it, told with its state. An answer echoes it, so it is as young as
-the challenge: what a queue held back for three seconds tells that somebody was there three seconds ago. No clock but
-the bridge's own counts, which does not jump while an arm is armed (shared/runtime/clocks.py).
+**Whether somebody stands by** is told by challenge and answer: who acts asks, by its own clock. The bridge's challenge
+is the time at which it issued it, told with its state. An answer echoes it, so it is as young as the challenge: what a
+queue held back for three seconds tells that somebody was there three seconds ago. No clock but the bridge's own counts,
+which does not jump while an arm is armed (shared/runtime/clocks.py).
 """
 
 import dataclasses

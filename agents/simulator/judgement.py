@@ -4,8 +4,6 @@ Nothing is taken from the plan: the fingers have captured the thread once it run
 close; they hold it once they touch it from both sides. Fingers that close where they are sweep the thread along, so
 what counts is the opening they closed from; fingers that travel must keep the thread within the opening they have, give
 or take what a thread gives way. A thread that slipped out is not caught again in the same grasp.
-
-What a physics says of a grasp, whichever it is.
 """
 
 from dataclasses import dataclass, replace

@@ -5,21 +5,18 @@ cross-entropy method: Rubinstein, 1999), in both eyes at once. What counts is he
 instrument: points within it should, and points beside and beyond it should not. Several starts guard against a wrong
 one.
 
-How well the long edges of an instrument lie on edges of the images, whatever colour is on either side.
-
-Shaft and wrist are long and straight, and their edges are seen where colour does not tell steel from tissue. With g the
-slope of colour and n the normal of an expected edge, what counts is the mean of
+**Long edges** count whatever colour is on either side. Shaft and wrist are long and straight, and their edges are seen
+where colour does not tell steel from tissue. With g the slope of colour and n the normal of an expected edge, what
+counts is the mean of
 
     (n·g)² / (|g|² + STEEP²)
 
 over both edges and both eyes: 1 where all steep slopes stand across the edge, a half or less in texture.
 
-A tool is found: from what is known beforehand to a correction that the edges bear out.
-
-Colours are learnt where the tool probably is, it is searched for with them, colours are learnt anew around what was
-found, it is searched for there, and edges refine it. Where tissue is as grey as steel the first colours lead astray, so
-some searches begin with long edges in their stead. Random numbers are those of a generator that is handed in, so that
-the same images give the same correction.
+**The order** of all this: colours are learnt where the tool probably is, it is searched for with them, colours are
+learnt anew around what was found, it is searched for there, and edges refine it. Where tissue is as grey as steel the
+first colours lead astray, so some searches begin with long edges in their stead. Random numbers are those of a
+generator that is handed in, so that the same images give the same correction.
 """
 
 import enum

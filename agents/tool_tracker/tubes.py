@@ -2,7 +2,7 @@
 
 Shapes: the Large Needle Driver's (shared/kinematics/psm.py).
 
-Where registration and joints have an arm's tool at the time of a frame, from states before and after it.
+Where registration and joints have them at the time of a frame follows from states before and after it.
 """
 
 import dataclasses

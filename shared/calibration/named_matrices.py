@@ -4,12 +4,11 @@ Everyone names the matrices differently, so a name is taken apart into what it s
 regard to case and punctuation: `K1`, `M1`, `cameraMatrix1`, `camera_matrix_left` and `left: {K: ...}` are one.
 The convention is that of OpenCV's stereoCalibrate: `x_right = R x_left + T`.
 
-Principal points that count pixels from their corners.
-
-Here integer coordinates are pixel centres, so the middle of an image W pixels wide is (W - 1) / 2. A renderer that
-looks through the middle of its image calls that W / 2. An estimated principal point is never exactly there; a stated
-one that is, in both images and without distortion, is the middle of the image and is taken as such: the published
-synthetic scenes show their true curves half a pixel to the right and below otherwise.
+**Principal points** may count pixels from their corners. Here integer coordinates are pixel centres, so the middle of
+an image W pixels wide is (W - 1) / 2. A renderer that looks through the middle of its image calls that W / 2. An
+estimated principal point is never exactly there; a stated one that is, in both images and without distortion, is the
+middle of the image and is taken as such: the published synthetic scenes show their true curves half a pixel to the
+right and below otherwise.
 """
 
 import difflib

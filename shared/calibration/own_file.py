@@ -1,6 +1,6 @@
 """This project's own calibration file: JSON that the reader of named matrices reads back to the last digit.
 
-A calibration in the forms that others read: OpenCV's FileStorage and two camera_info of ROS.
+The forms that others read are written too: OpenCV's FileStorage and two camera_info of ROS.
 """
 
 import json

@@ -1,7 +1,4 @@
-"""A field without thread on disk, for the light renderer to lay threads over: images of both eyes, and the surface.
-
-What lies behind a thread, as both cameras see it.
-"""
+"""A field without thread on disk, for the light renderer to lay threads over: images of both eyes, and the surface."""
 
 import json
 from dataclasses import dataclass

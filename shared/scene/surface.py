@@ -4,7 +4,7 @@ The ray of pixel (u, v) of a camera at (e, 0, 0) meets it where z = H(e + p z, q
 q = (v − cy)/fy. Iterating that equation converges, since the slope of H times the tangent of the ray's angle is well
 below one for a surface that faces the camera.
 
-Smooth random fields on a grid: white noise under a Gaussian, which has no preferred direction, at given sizes.
+Its smooth random fields are white noise under a Gaussian, which has no preferred direction, at given sizes.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """`suturegrasp calibrate hand-eye`: where an arm's base is before the camera, and what that is worth.
 
-Sightings of a tool and poses of a robot out of files, for the hand-eye calibration.
+Sightings of a tool and poses of a robot are read from files.
 """
 
 import csv

@@ -1,6 +1,6 @@
 """The report of a calibration: one HTML page with its pictures beside it.
 
-Pictures of a calibration's report: corners with their residuals, where corners were seen, and rectified rows.
+The pictures show corners with their residuals, where corners were seen, and rectified rows.
 """
 
 import html

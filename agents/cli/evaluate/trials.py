@@ -1,6 +1,6 @@
 """The trials of one thread: its images, what perception and reconstruction make of them, and grasp by grasp.
 
-Processes that share the threads of an evaluation among them, and tell of each trial as it ends.
+Processes share the threads of an evaluation among them, and tell of each trial as it ends.
 """
 
 import itertools

@@ -1,6 +1,6 @@
 """`suturegrasp graph`: the dataflow as a table and as a drawing, from the registry and the table of topics alone.
 
-A dataflow as SVG: boxes below each other, arrows down on their right and up on their left.
+In the drawing boxes stand below each other, arrows down on their right and up on their left.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,9 +1,4 @@
-"""What is said of a replay through agents.
-
-The table of what a replay says differently.
-
-A recording and its replay as one Rerun file.
-"""
+"""What is said of a replay through agents: a table of what differs, and both side by side as one Rerun file."""
 
 import math
 from collections import Counter

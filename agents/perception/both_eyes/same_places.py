@@ -6,12 +6,11 @@ at a disparity that can be, and that one has no other left one; and next to such
 about the disparity that theirs go on to. On the same left line the others follow from these (`carried_on`): where it
 runs along the rows, or where its rows hold several strands. Of a line without any nothing is said.
 
-Places of a thread that the disparity beside them tells, where no row does: along the rows, and among other strands.
-
-Along a thread the disparity changes slowly. So from places that are the same for certain it goes on, and says about
-where the right eye sees a place that its row does not tell. That is the place of the right line nearest to it, of all
-that lie about there: where the line crosses the rows, its row counts for most, and where it runs along them, the
-disparity. Some pixels along the thread are of no account: what light does to its middle changes as slowly.
+**Where no row tells**, along the rows and among other strands, the disparity beside does. Along a thread the disparity
+changes slowly. So from places that are the same for certain it goes on, and says about where the right eye sees a place
+that its row does not tell. That is the place of the right line nearest to it, of all that lie about there: where the
+line crosses the rows, its row counts for most, and where it runs along them, the disparity. Some pixels along the
+thread are of no account: what light does to its middle changes as slowly.
 """
 
 from dataclasses import dataclass

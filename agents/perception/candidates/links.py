@@ -4,11 +4,9 @@ For the angles a and b, in the same sense of rotation, between the way across a 
 the least bent way has ∫κ² = 4 (a² − a b + b²) / g (Hermite's cubic), and a thread is bent by κ₀ anyway; that is how
 reconstruction links pieces, too. Here what both pieces look like is added.
 
-How pieces of thread look: their colour and width tell pieces of one thread from pieces of another.
-
-Along one thread the light changes, and with it how bright the thread is; its hue and its width hardly change. On
-path-traced scenes of several threads, pieces of one thread differ by about 1.5 in OpenCV's 8-bit a and b, 15 in L and a
-twelfth in width (standard deviations).
+Colour and width tell pieces of one thread from pieces of another. Along one thread the light changes, and with it how
+bright the thread is; its hue and its width hardly change. On path-traced scenes of several threads, pieces of one
+thread differ by about 1.5 in OpenCV's 8-bit a and b, 15 in L and a twelfth in width (standard deviations).
 """
 
 from dataclasses import dataclass

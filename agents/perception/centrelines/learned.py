@@ -5,7 +5,7 @@ the network looks along the thread, and at all of it: what is lopsided about pro
 in the image, is the light. With q the lopsided features of a point and n its normal, the A of q = A n by least squares
 is the light's part, and A n what light does at each point. docs/model_card.md says what the network has learned from.
 
-The thread straightened: what the image shows across points of a curve, in units that all threads share.
+What it sees is the thread straightened: what the image shows across points of a curve, in units that all threads share.
 """
 
 import functools

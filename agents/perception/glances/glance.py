@@ -6,9 +6,8 @@ The network looks at the part by itself. The whole is to be looked at where that
 - nothing along a stretch of a known thread;
 - strands that meet or cross where none was cut, or nothing of the kind where one was.
 
-What is known to be in a part of one image while a thread is followed: what a glance need not wonder about.
-
-The parts of both images in the order in which they are glanced at.
+What is known to be in a part while a thread is followed, a glance need not wonder about. All parts of both images have
+their turn.
 """
 
 from collections.abc import Sequence

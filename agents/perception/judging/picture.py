@@ -1,8 +1,7 @@
 """What one eye's picture tells by itself, or beside the other's: exposure, sharpness, interlacing.
 
-How soft the sharpest edges of an image are in each direction, in pixels.
-
-An edge that is a step blurred by a Gaussian of standard deviation s has a gradient that falls by
+**Sharpness** is how soft the sharpest edges of an image are in each direction, in pixels. An edge that is a step
+blurred by a Gaussian of standard deviation s has a gradient that falls by
 
     R = sqrt(1 + (s0 / s)^2),   so that   s = s0 / sqrt(R^2 - 1),
 
@@ -15,11 +14,10 @@ normal is at an angle a to it by m |cos a|, so no edge lets m be more than
 The sharpest few edges tell, whichever way they run, a slanting thread's among them. Noise, and things thinner than
 their blur, let these look sharper than they are, by up to half.
 
-Whether an image is woven from two fields of different moments, which frame grabbers do with interlaced signals.
-
-Where things moved in between, every other row is displaced, and a pixel is brighter than both of its neighbours above
-and below, or darker than both. Texture and noise do that along the columns as often as along the rows; only fields do
-it along the columns alone. A scene that stands still tells nothing.
+**Interlacing**: frame grabbers weave an image from two fields of different moments. Where things moved in between,
+every other row is displaced, and a pixel is brighter than both of its neighbours above and below, or darker than both.
+Texture and noise do that along the columns as often as along the rows; only fields do it along the columns alone. A
+scene that stands still tells nothing.
 """
 
 from dataclasses import dataclass

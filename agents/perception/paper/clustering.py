@@ -4,7 +4,7 @@ The paper grows clusters and their order breadth first through the segmented pix
 quantity, the distance of each pixel from an end of its connected piece, counted through the segmented pixels: cut
 into intervals it gives the clusters, sorted by it they are in order.
 
-Segmented pixels as a graph: who is whose neighbour, and how far along the thread one pixel lies from another.
+For that, segmented pixels are a graph of neighbours.
 """
 
 from dataclasses import dataclass

@@ -3,9 +3,7 @@
 What is to be looked at is divided, in cells of some pixels, where two boxes have least to look at; each part likewise,
 as long as that is less than before.
 
-Masks and connected pieces told by the pixels that they hold: whole images take several times as long.
-
-What is known of a thread before it is looked for: where it may be, and which of several is meant.
+Masks and connected pieces are told by the pixels that they hold, for whole images take several times as long.
 """
 
 from dataclasses import dataclass

@@ -8,12 +8,11 @@ embeddings.
 
 Only low_res_masks is used of the masks: the enlarging inside some exported decoders holds for one shape of image only.
 
-What an ONNX file says it takes and gives, read from its outermost fields alone.
-
-A file of weights has gigabytes, and OpenCV tells the names of what a network gives, not of what it takes. The wire
-format of protobuf names the length of every field, so that all others are stepped over unread. Fields as numbered in
-ONNX's onnx.proto: ModelProto.graph 7; GraphProto.initializer 5, input 11, output 12; TensorProto.name 8;
-ValueInfoProto.name 1, type 2; TypeProto.tensor_type 1; its shape 2, dim 1; Dimension.dim_value 1.
+What an ONNX file takes and gives is read from its outermost fields alone: a file of weights has gigabytes, and OpenCV
+tells the names of what a network gives, not of what it takes. The wire format of protobuf names the length of every
+field, so that all others are stepped over unread. Fields as numbered in ONNX's onnx.proto: ModelProto.graph 7;
+GraphProto.initializer 5, input 11, output 12; TensorProto.name 8; ValueInfoProto.name 1, type 2; TypeProto.tensor_type
+1; its shape 2, dim 1; Dimension.dim_value 1.
 """
 
 import hashlib

@@ -4,8 +4,6 @@ A path visits some of the pieces, each once. A piece has two ends, 2p and 2p + 1
 A path scores what its pieces, the joins between them and its own two ends score together, and its probability goes as
 the exponential of that. Both programmes go over all subsets of the pieces, so that both are exact: time and memory grow
 as 2 to the power of their number.
-
-The unbranched pieces of a centreline, and chains of them: a thread's course through one image.
 """
 
 from dataclasses import dataclass, replace

@@ -4,9 +4,7 @@ Between the matches of a piece of the right centreline its points are interpolat
 or what hides it in the left image; but thread along the rows has no matches, since its crossings with them say nothing.
 There both images show it going on in the same rows.
 
-What something that lies before a thread does to it: to its middle beside the cover, and to what is seen of it.
-
-Where something covers one side of a thread, its middle is not in the middle of what is seen.
+**Beside a cover**: where something covers one side of a thread, its middle is not in the middle of what is seen.
 
 A cover that hides m pixels of a thread's width moves the middle of the rest by m / 2 to the other side. That happens
 at the ends of pieces, where the thread goes under a tool or under its own strand at a small angle, and there it looks

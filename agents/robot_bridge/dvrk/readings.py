@@ -1,7 +1,4 @@
-"""What a console has told of one arm, and what speaks against moving it.
-
-What a console and others have said of one arm, and what of that speaks against moving it.
-"""
+"""What a console and others have said of one arm, and what of that speaks against moving it."""
 
 import dataclasses
 import threading

@@ -3,9 +3,7 @@
 A lens is known where corners were seen: in every part of both images. Focal length and distance are told apart by
 boards that are tilted, both ways about both axes, and by boards near and far.
 
-Stereo views of a board, and what of them both eyes share.
-
-Whether a view that a running camera shows is worth keeping beside those that are kept already.
+A view that a running camera shows is worth keeping where it adds to those that are kept already.
 """
 
 from dataclasses import dataclass

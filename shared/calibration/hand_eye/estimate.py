@@ -10,14 +10,8 @@ where it is not told. For each δ of a grid the rigid fit of triangulated to mea
 lead to the least robust sum of squares over all unknowns (soft l1; scipy's least_squares). A sighting more than
 OUTLIER deviations off is left out and named. Covariance is s² (JᵀJ)⁻¹ of what is left.
 
-What a hand-eye calibration is estimated from: places of a point on the tool as the camera saw them, and the robot's
-poses meanwhile, each with times of its own clock.
-
-A place is two pixels of a rectified pair, or a point before the camera. Lengths are metres.
-
-Unknowns of a hand-eye calibration that leave the least robust sum of squares, and a rigid fit to begin them with.
-
-The equation and what is unknown are estimate.py's.
+Sightings and poses each have times of their own clock. A place is two pixels of a rectified pair, or a point before the
+camera. Lengths are metres.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,7 @@
 """Raw flesh: pale meat with fascia and fat as of a chicken, or red tissue with vessels, under a wet film.
 
-Lines that look like thread and are none: vessels that wander and fork, hairs of fascia, marks of a pen.
-
-Blood and dark fluid on the ground: pools with a film, drops, and smears.
+On it are lines that look like thread and are none (vessels that wander and fork, hairs of fascia, marks of a pen), and
+blood and dark fluid: pools with a film, drops, and smears.
 """
 
 from dataclasses import replace

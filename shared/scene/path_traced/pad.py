@@ -1,8 +1,7 @@
 """Suture pads of silicone with cuts, blocks, ridges, letters and inked lines; and a phantom of plain silicone skin.
 
-Cuts, ridges and raised blocks of suture pads: paths on a ground's grid, and what they do to its depth and colour.
-
-What is written on suture pads: printed or raised letters, lines and dots of a pen, specks; none of it is thread.
+Cuts, ridges and blocks are paths on a ground's grid, which change its depth and colour. None of what is written on a
+pad, printed or raised letters, lines and dots of a pen, specks, is thread.
 """
 
 from dataclasses import dataclass, replace

@@ -1,6 +1,6 @@
 """One stereo pair from its recipe: traced, labelled, checked against its own truth, and seen by a camera.
 
-A traced pair on disk, in the form of the published renders: images, masks, the camera, the true centrelines.
+On disk it has the form of the published renders: images, masks, the camera, the true centrelines.
 """
 
 import json

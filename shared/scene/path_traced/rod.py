@@ -8,7 +8,7 @@ is least at rest (Bergou et al. 2008, Discrete elastic rods, without twist, whic
 curvature that it keeps from its packet, and w its weight, which pulls along +z, away from the camera.
 Lengths in mm, points in the left camera's frame.
 
-Threads as mechanics lays them: out of a stitch, over the tissue, to a needle, a gripper, a stitch or a free end.
+So threads lie: out of a stitch, over the tissue, to a needle, a gripper, a stitch or a free end.
 """
 
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 With control points c_0 … c_{m−1} it starts at (c_0 + 4 c_1 + c_2) / 6 and ends alike at the other side. Lengths in mm,
 points in the left camera's frame.
-
-Threads as they lie in a scene: which, how many, how thick and of which colour.
 """
 
 from dataclasses import dataclass, replace

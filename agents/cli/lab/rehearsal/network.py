@@ -3,12 +3,8 @@
 Everything lies in namespaces named after the process that made them, but for the port of that process itself, so that
 removing those few names removes everything; what a killed process left behind is removed by the next one.
 
-A cable that takes its time: Ethernet frames pass between pairs of ports, each so long after it came.
-
-    python -m agents.cli.lab.rehearsal.relay SECONDS PORT=PORT ...
-
-Linux' own netem is often left out of kernels. What comes keeps its order, and nothing is lost but where a port's buffer
-is full.
+A slow cable passes Ethernet frames between pairs of ports, each so long after it came. Linux' own netem is often left
+out of kernels. What comes keeps its order, and nothing is lost but where a port's buffer is full.
 """
 
 import array
