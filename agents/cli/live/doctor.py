@@ -49,6 +49,7 @@ def weigh(connection: Connection, within_s: float = WITHIN_S) -> dict[str, float
 
 EXIT_FOUND = 1
 ROUTER_WAIT_S = 2.0
+LONGEST_S = 600.0
 
 
 def doctor(rig: RigConfig, options: Doctor) -> int:
@@ -56,7 +57,7 @@ def doctor(rig: RigConfig, options: Doctor) -> int:
     findings: list[Finding] = []
     pair = PairFiles(options.left, options.right, options.stereo, options.calibration, options.unit)
     try:
-        for finding in examine_images(pair) if pair.given else examine(rig):
+        for finding in _examined(rig, options, pair):
             findings.append(finding)
             if not options.json:
                 remedy = f"; {finding.remedy}" if finding.remedy else ""
@@ -69,6 +70,19 @@ def doctor(rig: RigConfig, options: Doctor) -> int:
         of = {} if pair.given else {"rig": rig.rig, "host": rig.host}
         show(json.dumps({**of, "well": well, "findings": told}))
     return EXIT_OK if well else EXIT_FOUND
+
+
+def _examined(rig: RigConfig, options: Doctor, pair: PairFiles) -> Iterator[Finding]:
+    if options.arm is None:
+        return examine_images(pair) if pair.given else examine(rig)
+    if pair.given:
+        raise UsageError("give a pair of images or --arm, not both")
+    if not 1 <= options.seconds <= LONGEST_S:
+        raise UsageError(f"--seconds {options.seconds:g} is not between 1 and {LONGEST_S:g}")
+    # reading ROS messages takes as long to load as all else
+    from agents.diagnostics.doctor.console import examine_console
+
+    return examine_console(rig, options.arm, options.seconds)
 
 
 _STATES = {"ok": "ok", "WRONG": "wrong", "?": "unknown"}

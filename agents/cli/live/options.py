@@ -189,9 +189,14 @@ class PromptThread(OnRig):
 class Doctor(OnRig):
     """Look for what would keep a rig from running, here and across its hosts, and name the remedy.
 
-    With a stereo pair (--left and --right, or --stereo) and its --calibration, that pair is looked at instead.
+    With a stereo pair (--left and --right, or --stereo) and its --calibration, that pair is looked at instead; with
+    --arm, whether a dVRK's console does all that is relied on (docs/dvrk.md). It is listened to, and nothing moves.
     """
 
+    arm: Annotated[str | None, tyro.conf.arg(metavar="ARM")] = None
+    """An arm of the rig's file, such as psm1, whose console is listened to."""
+    seconds: float = 5.0
+    """How long; what only a motion shows is told where the arm moves meanwhile."""
     left: OptionalPath = None
     """The left image of a pair."""
     right: OptionalPath = None

@@ -129,7 +129,7 @@ def test_a_gap_is_told_and_in_the_file_while_recording_goes_on(record, messages,
     until(lambda: lines)
     assert lines == [f"lost 3 of {CAMERA} (2-4 on the way)"]
     # were it killed now, the file would hold all of that
-    until(lambda: [number for _, _, number in places(path)] == [0, 1, 5])
+    until(lambda: path.stat().st_size and [number for _, _, number in places(path)] == [0, 1, 5])
     assert lost_notes(path) == ["3: 2-4 on the way"]
     assert "cut off at " in completeness(path).sentence
     for finished in (False, True):

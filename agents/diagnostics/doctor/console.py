@@ -1,0 +1,421 @@
+"""What a console that speaks CRTK must do that the robot bridge relies on, and whether this one does.
+
+`CONFORMANCE` is the table: each row is a duty, and the function that judges it by what was heard for some seconds.
+Nothing is ever said to the console. What only a motion shows is judged while the arm moves, whoever moves it.
+"""
+
+import threading
+from bisect import bisect_left
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from agents.configuration.hosts import run_name
+from agents.configuration.rig import RigConfig
+from agents.configuration.sections import DvrkSection
+from agents.diagnostics.doctor.finding import UNKNOWN, Finding
+from agents.launch.guard_process import naming_of
+from agents.robot_bridge.dvrk.psm import MOTIONS, SERVOS
+from agents.robot_bridge.dvrk.readings import (
+    KINDS,
+    LEADS_TO,
+    POSE_AGE_NS,
+    SAME_M,
+    SAME_RAD,
+    SAME_TIME_NS,
+    STANDS,
+    TELEOPERATION,
+)
+from agents.robot_bridge.dvrk.set_points import SAME, WINDOW_NS
+from agents.robot_bridge.measuring import MEASUREMENT_AGE_S
+from shared.kinematics.arm import ArmKinematics
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
+from shared.rigid_transforms import angle_between, inverse
+from shared.ros import crtk
+from shared.ros.link import Heard, RosLink
+from shared.ros.naming import GUARD_NODE
+from shared.ros.types import BOOL, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, RosMessageError
+from shared.runtime.identity import IdentityError
+from shared.runtime.session import SessionSettings
+from shared.terminal import UsageError
+
+WATCH_S = 5.0
+STATES = {"DISABLED", "FAULT", *LEADS_TO.values()}
+POSE, BASE_POSE, ENDOSCOPE = "measured_cp", "local/measured_cp", "ECM/local/measured_cp"
+SET_POINTS = {"setpoint_js": "servo_jp", "jaw/setpoint_js": "jaw/servo_jp"}
+SAID: dict[str, tuple[str, Callable[[bytes], Any]]] = {
+    **dict.fromkeys(("measured_js", "jaw/measured_js", *SET_POINTS, *SERVOS), (JOINT_STATE, crtk.joints)),
+    **dict.fromkeys((BASE_POSE, POSE), (POSE_STAMPED, crtk.pose)),
+    "operating_state": (OPERATING_STATE, crtk.operating_state),
+    "tool_type": (STRING, crtk.text),
+    "error": (STRING, crtk.text),
+    TELEOPERATION: (BOOL, crtk.flag),
+    ENDOSCOPE: (POSE_STAMPED, crtk.pose),
+}
+"""What is listened to: below the arm's name, or where that is not the arm's, by its whole name."""
+LATCHED = ("operating_state", "tool_type", "error", TELEOPERATION)
+OF_CONSOLE = (TELEOPERATION, ENDOSCOPE)
+FIT = "arm, tool and endpoint in the rig's file must be this console's"
+
+
+@dataclass(frozen=True)
+class Came:
+    """A message as read, and when it came; a text instead of a value says why it cannot be read."""
+
+    arrived_ns: int
+    value: Any
+
+
+@dataclass
+class Told:
+    """What a console said for a while.
+
+    Fields:
+        came: by topic, in the order of arrival.
+        owners: who announced that they publish motions of this arm, the guard left out.
+    """
+
+    section: DvrkSection
+    kinematics: ArmKinematics = LARGE_NEEDLE_DRIVER
+    came: dict[str, list[Came]] = field(default_factory=lambda: defaultdict(list))
+    owners: set[str] = field(default_factory=set)
+
+    def hear(self, topic: str, data: bytes, arrived_ns: int) -> None:
+        """Take a message."""
+        try:
+            value = SAID[topic][1](data)
+        except RosMessageError as error:
+            value = str(error)
+        self.came[topic].append(Came(arrived_ns, value))
+
+    def values(self, topic: str) -> list[Any]:
+        """What was read of a topic."""
+        return [one.value for one in self.came[topic] if one.value is not None and not _unread(topic, one)]
+
+    def unread(self, topic: str) -> str:
+        """Why something of a topic cannot be read; empty where all was."""
+        return next((one.value for one in self.came[topic] if _unread(topic, one)), "")
+
+    @property
+    def moved(self) -> bool:
+        """Whether the arm has moved meanwhile."""
+        joints = [one.position for one in self.values("measured_js") if one.position.shape == (6,)]
+        return bool(joints) and bool((np.ptp(np.array(joints), axis=0) > STANDS).any())
+
+
+def _unread(topic: str, one: Came) -> bool:
+    return isinstance(one.value, str) and SAID[topic][0] != STRING
+
+
+@dataclass(frozen=True)
+class Duty:
+    """One row: what a console must do, and whether it did by what was heard: found, and the remedy or nothing."""
+
+    what: str
+    judge: Callable[[Told], tuple[str, str]]
+
+
+def _comes(kind: str, within_s: float) -> Callable[[Told], tuple[str, str]]:
+    def judge(told: Told) -> tuple[str, str]:
+        arrived = [one.arrived_ns for one in told.came[kind]]
+        if why := told.unread(kind):
+            return f"cannot be read: {why}", "have it publish the type that docs/dvrk.md names"
+        if len(arrived) < 2:
+            return "does not come", f"let {told.section.arm}/{kind} through where ROS meets Zenoh (docs/dvrk.md)"
+        longest_s = max(np.diff(arrived)) * 1e-9
+        rate_hz = (len(arrived) - 1) / ((arrived[-1] - arrived[0]) * 1e-9)
+        found = f"{rate_hz:.0f} a second, the longest silence {1e3 * longest_s:.0f} ms"
+        late = (
+            f"more than {1e3 * within_s:.0f} ms ends motions (stale_state): look at the network and the console's load"
+        )
+        return found, late if longest_s > within_s else ""
+
+    return judge
+
+
+def _units(told: Told) -> tuple[str, str]:
+    joints, jaws = told.values("measured_js"), told.values("jaw/measured_js")
+    if not joints or not jaws:
+        return f"{UNKNOWN}: no joints came", ""
+    for name, values, count in (("measured_js", joints, 6), ("jaw/measured_js", jaws, 1)):
+        if any(one.position.shape != (count,) or not np.isfinite(one.position).all() for one in values):
+            return f"{name} has not {count} finite positions", "a PSM has six joints, and a jaw in jaw/measured_js"
+    lower, upper = told.kinematics.limits.T
+    found = joints[-1].position
+    if not ((found > lower - 0.1) & (found < upper + 0.1)).all():
+        return f"joints at {np.round(found, 3).tolist()}, beyond a PSM's limits", "radians and metres are expected"
+    return (
+        f"radians and metres, insertion {1e3 * found[2]:.0f} mm, jaw {np.degrees(jaws[-1].position[0]):.0f} degrees",
+        "",
+    )
+
+
+def _one_clock(told: Told) -> tuple[str, str]:
+    stamps = [np.array([one.stamp_ns for one in told.values(kind)]) for kind in KINDS]
+    if any(len(one) < 2 for one in stamps):
+        return f"{UNKNOWN}: not all of {', '.join(KINDS)} came", ""
+    if any((one == 0).any() for one in stamps):
+        return "some have no stamp", "have the console stamp what it measures"
+    if any((np.diff(one) < 0).any() for one in stamps):
+        return "stamps go back", "have one clock stamp what the console measures, and set it before it starts"
+    apart_ms = 1e-6 * max(float(np.median(_apart(told, kind))) for kind in KINDS[1:])
+    found = f"joints, jaw and pose are stamped within {apart_ms:.1f} ms of each other"
+    wrong = f"above {1e-6 * SAME_TIME_NS:.0f} ms an arm that moves is stale_state: have it publish them together"
+    return found, wrong if apart_ms > 1e-6 * SAME_TIME_NS else ""
+
+
+def _apart(told: Told, kind: str) -> np.ndarray:
+    """How far the stamps of joints are from that of the message of this kind that came nearest to each, ns."""
+    joints, others = (
+        np.array([(c.arrived_ns, c.value.stamp_ns) for c in told.came[topic] if not _unread(topic, c)])
+        for topic in (KINDS[0], kind)
+    )
+    after = np.searchsorted(others[:, 0], joints[:, 0]).clip(1, len(others) - 1)
+    nearer = joints[:, 0] - others[after - 1, 0] < others[after, 0] - joints[:, 0]
+    return np.abs(others[after - nearer, 1] - joints[:, 1])
+
+
+def _on_time(told: Told) -> tuple[str, str]:
+    late = [
+        one.arrived_ns - one.value.stamp_ns
+        for one in told.came["measured_js"]
+        if not _unread("measured_js", one) and one.value.stamp_ns
+    ]
+    if not late:
+        return f"{UNKNOWN}: no stamped joints came", ""
+    held_ms = 1e-6 * (max(late) - min(late))
+    found = (
+        f"joints come at most {held_ms:.0f} ms later than the quickest (the clocks are {1e-9 * min(late):.3f} s apart)"
+    )
+    return found, "a network or console that holds them back ends motions" if held_ms > 1e3 * MEASUREMENT_AGE_S else ""
+
+
+def _frame(told: Told) -> tuple[str, str]:
+    """Which pose is that of our kinematics, told in the base's frame: found out, whatever its topic is called."""
+    base, other_fits = _off(told, BASE_POSE), _fits(_off(told, POSE))
+    if base is None:
+        other = f"; {POSE} is the one in the base's frame" if other_fits else ""
+        return f"{UNKNOWN}: {BASE_POSE} did not come with joints of its time{other}", ""
+    found = f"{1e3 * base[0]:.1f} mm and {base[1]:.2f} rad from our kinematics"
+    if _fits(base):
+        return f"{BASE_POSE} is in the base's frame, {found}", ""
+    if other_fits:
+        return (
+            f"{BASE_POSE} is {found}, and {POSE} fits",
+            "its two poses are exchanged: the base's must be the local one",
+        )
+    return f"{BASE_POSE} is {found}", FIT
+
+
+def _fits(off: tuple[float, float] | None) -> bool:
+    return off is not None and off[0] <= SAME_M and off[1] <= SAME_RAD
+
+
+def _off(told: Told, topic: str) -> tuple[float, float] | None:
+    """How far a pose is from that of the joints of its time, at worst; None where none came with joints."""
+    pairs = list(_with_joints(told, topic))
+    if not pairs:
+        return None
+    ours = told.kinematics.forward(np.array([joints for joints, _ in pairs]))
+    theirs = np.array([T for _, T in pairs])
+    turned = [float(angle_between(a[:3, :3], b[:3, :3])) for a, b in zip(ours, theirs, strict=True)]
+    return float(np.linalg.norm(ours[:, :3, 3] - theirs[:, :3, 3], axis=1).max()), max(turned)
+
+
+def _with_joints(told: Told, topic: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    joints = [one for one in told.values("measured_js") if one.position.shape == (6,)]
+    stamps = [one.stamp_ns for one in joints]
+    for pose in told.values(topic):
+        at = bisect_left(stamps, pose.stamp_ns - SAME_TIME_NS)
+        if at < len(stamps) and abs(stamps[at] - pose.stamp_ns) <= SAME_TIME_NS:
+            yield joints[at].position, pose.T
+
+
+def _camera_frame(told: Told) -> tuple[str, str]:
+    """What `measured_cp` is told from: the base, or something that the base has stood before ever since."""
+    base = {one.stamp_ns: one.T for one in told.values(BASE_POSE)}
+    both = [(one, base[one.stamp_ns]) for one in told.values(POSE) if one.stamp_ns in base]
+    if not both:
+        return f"{UNKNOWN}: {POSE} does not come with {BASE_POSE}, so set-up joints that move are not seen", ""
+    between = [one.T @ inverse(T) for one, T in both]
+    moved_m = max(float(np.linalg.norm(one[:3, 3] - between[0][:3, 3])) for one in between)
+    away_m, turned = float(np.linalg.norm(between[-1][:3, 3])), float(angle_between(between[-1][:3, :3], np.eye(3)))
+    if away_m < 1e-4 and turned < 1e-3:
+        return f"{POSE} is in the base's frame, as {BASE_POSE} is: set-up joints that move are not seen", ""
+    found = f"{POSE} is in frame {both[-1][0].frame!r}, {1e3 * away_m:.0f} mm and {np.degrees(turned):.0f} degrees away"
+    return f"{found}, {'which has moved meanwhile' if moved_m > 1e-3 else 'which stands'}", ""
+
+
+def _state(told: Told) -> tuple[str, str]:
+    states = told.values("operating_state")
+    if why := told.unread("operating_state"):
+        return f"cannot be read: {why}", "crtk_msgs/OperatingState is expected"
+    if not states:
+        return "was not told to who came late", "it must be latched, or come again and again"
+    newest = states[-1]
+    if newest.state not in STATES:
+        return f"its state is {newest.state!r}", f"one of {', '.join(sorted(STATES))} is expected"
+    homed = "homed" if newest.is_homed else "not homed"
+    return f"{newest.state}, {homed}{', busy' if newest.is_busy else ''}", ""
+
+
+def _busy(told: Told) -> tuple[str, str]:
+    """Whether it says that it is busy while it is sent set points, which no phase of ours would outlast."""
+    sent = [one.arrived_ns for one in told.came["servo_jp"]]
+    if not sent:
+        return f"{UNKNOWN}: no set points came; look again while a plan is carried out", ""
+    within = [one.value for one in told.came["operating_state"] if sent[0] <= one.arrived_ns <= sent[-1]]
+    if any(not isinstance(state, str) and state.is_busy for state in within):
+        return "busy while set points come", "no phase would end (not_following): see the console's version"
+    return "not busy while set points come", ""
+
+
+def _set_points(told: Told) -> tuple[str, str]:
+    """Whether it heads for what it is sent, and otherwise stays."""
+    parts = {kind: told.values(kind) for kind in SET_POINTS}
+    if missing := [kind for kind, values in parts.items() if not values]:
+        return f"{UNKNOWN}: {' and '.join(missing)} not told, so what it clips is not seen", ""
+    sent = {kind: [c for c in told.came[servo] if not _unread(servo, c)] for kind, servo in SET_POINTS.items()}
+    if not any(sent.values()):
+        moved = any(np.ptp([v.position for v in values], axis=0).max() > SAME[k].max() for k, values in parts.items())
+        return (
+            f"{UNKNOWN}: no set points came{', though it heads elsewhere' if moved else ''}; look again in a motion",
+            "",
+        )
+    for kind, values in sent.items():
+        heads = [c for c in told.came[kind] if values and values[0].arrived_ns + WINDOW_NS < c.arrived_ns]
+        heads = [c for c in heads if c.arrived_ns <= values[-1].arrived_ns]
+        off = max((_nearest(c, values, SAME[kind]) for c in heads), default=0.0)
+        if off > 1:
+            return (
+                f"{kind} is {off:.1f} times as far from what was sent as is allowed",
+                "it clips or filters set points",
+            )
+    return f"it heads for what was sent within the last {1e-6 * WINDOW_NS:.0f} ms", ""
+
+
+def _nearest(heads: Came, sent: list[Came], same: np.ndarray) -> float:
+    """How far it heads from the nearest of what it was sent lately, in what is allowed."""
+    lately = [c for c in sent if 0 <= heads.arrived_ns - c.arrived_ns <= WINDOW_NS]
+    return min((float((np.abs(heads.value.position - c.value.position) / same).max()) for c in lately), default=0.0)
+
+
+def _tool(told: Told) -> tuple[str, str]:
+    tools, wanted = told.values("tool_type"), told.section.tool
+    if not tools:
+        return "was not told to who came late", "it must be latched; a bridge with a tool in its file waits for it"
+    differs = bool(wanted) and tools[-1] != wanted
+    return tools[-1], f"the rig's file says {wanted}, whose kinematics are used (wrong_tool)" if differs else ""
+
+
+def _teleoperation(told: Told) -> tuple[str, str]:
+    said = told.values(TELEOPERATION)
+    if not said:
+        if "teleoperation" in told.section.has_no:
+            return "not told, and has_no says that there is none", ""
+        return "was not told to who came late", "switch it on and off once, or say has_no = ['teleoperation']"
+    return ("on", "switch it off: have one owner only") if said[-1] else ("off", "")
+
+
+def _endoscope(told: Told) -> tuple[str, str]:
+    if told.values(ENDOSCOPE):
+        return "its place comes", ""
+    if "endoscope_arm" in told.section.has_no:
+        return "not told, and has_no says that there is none", ""
+    return f"{ENDOSCOPE} does not come", "let it through, or say has_no = ['endoscope_arm']"
+
+
+def _owners(told: Told) -> tuple[str, str]:
+    if told.owners:
+        return f"{min(told.owners)} could command it", "have one owner only"
+    return "nobody but the guard has announced motions", ""
+
+
+def _errors(told: Told) -> tuple[str, str]:
+    errors = told.values("error")
+    return (f"it says: {errors[-1]}", "see the console") if errors else ("none", "")
+
+
+CONFORMANCE = (
+    Duty("joints come", _comes("measured_js", MEASUREMENT_AGE_S)),
+    Duty("the jaw comes", _comes("jaw/measured_js", MEASUREMENT_AGE_S)),
+    Duty("the base's pose comes", _comes(BASE_POSE, 1e-9 * POSE_AGE_NS)),
+    Duty("units", _units),
+    Duty("one clock", _one_clock),
+    Duty("nothing is held back", _on_time),
+    Duty("frame of the pose", _frame),
+    Duty("frame of the other pose", _camera_frame),
+    Duty("operating state", _state),
+    Duty("busy", _busy),
+    Duty("set points", _set_points),
+    Duty("tool", _tool),
+    Duty("teleoperation", _teleoperation),
+    Duty("endoscope", _endoscope),
+    Duty("other owners", _owners),
+    Duty("errors", _errors),
+)
+
+
+def judged(told: Told) -> Iterator[Finding]:
+    """Each row of the table, of what was heard; one alone where nothing was."""
+    arm = told.section.arm
+    if not any(told.came.values()):
+        where = f"nothing was heard of {arm} at {told.section.endpoint}"
+        yield Finding(
+            arm, where, "see that its console and its Zenoh run there, and that what docs/dvrk.md allows crosses"
+        )
+        return
+    yield Finding(arm, "moves" if told.moved else "stands, so what only a motion shows is not judged")
+    for duty in CONFORMANCE:
+        yield Finding(f"{arm}: {duty.what}", *duty.judge(told))
+
+
+def examine_console(rig: RigConfig, arm: str, watch_s: float) -> Iterator[Finding]:
+    """Listen to an arm's console for so long, and judge it.
+
+    Raises:
+        UsageError: where the rig has no such arm of a dVRK.
+    """
+    section = rig.robot[arm].dvrk if arm in rig.robot else None
+    if section is None:
+        have = ", ".join(name for name, one in rig.robot.items() if one.dvrk is not None) or "none"
+        raise UsageError(f"the rig's file has no dVRK arm {arm!r}; it has {have}")
+    told, lock = Told(section), threading.Lock()
+
+    def owner(token: str, comes: bool) -> None:
+        if f"/{GUARD_NODE}/" not in token:
+            with lock:
+                (told.owners.add if comes else told.owners.discard)(token)
+
+    def receive(topic: str) -> Callable[[bytes, int], None]:
+        def hear(data: bytes, arrived_ns: int) -> None:
+            with lock:
+                told.hear(topic, data, arrived_ns)
+
+        return hear
+
+    heard = [
+        Heard(
+            topic if topic in OF_CONSOLE else f"{section.arm}/{topic}", kind, receive(topic), latched=topic in LATCHED
+        )
+        for topic, (kind, _) in SAID.items()
+    ]
+    try:
+        reached = SessionSettings(rig.rig, section.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
+        watched = tuple(f"{section.arm}/{topic}" for topic in MOTIONS)
+        link = RosLink(reached, naming_of(section), tuple(heard), watched=watched, owner_changed=owner)
+    except IdentityError as error:
+        yield Finding(section.arm, f"its Zenoh at {section.endpoint} is not reached", str(error))
+        return
+    with closing(link):
+        link.open()
+        threading.Event().wait(watch_s)
+    if link.failed:
+        yield Finding(section.arm, f"its Zenoh at {section.endpoint} is not reached", link.failed)
+        return
+    with lock:
+        yield from judged(told)
