@@ -61,14 +61,16 @@ def phases(session: Session) -> Table:
         for number, grasp in enumerate(session.grasps, 1)
         for arming in grasp.armings
     )
-    return Table("armed", (" grasp", " at s", "answer", "what followed, at s", "judgement"), tuple(rows))
+    return Table("armed", (" grasp", " at s", "clock", "answer", "what followed, at s", "judgement"), tuple(rows))
 
 
 def _phase_row(session: Session, number: int, arming: Arming) -> Row:
     followed = ", ".join(f"{event_name(event)} {session.since_start_s(event.at_ns):.2f}" for event in arming.events)
-    at_s = "" if arming.at_ns is None else f"{session.since_start_s(arming.at_ns):.2f}"
+    at_s, clock = "", ""
+    if arming.at_ns is not None:
+        at_s, clock = f"{session.since_start_s(arming.at_ns):.2f}", session.clock(arming.at_ns)
     judged = arming.judgement.sentence + _as_of(session) if arming.judgement else ""
-    return str(number), at_s, answer_text(arming.answer), followed, judged
+    return str(number), at_s, clock, answer_text(arming.answer), followed, judged
 
 
 def commands(session: Session) -> Table:

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,10 @@ class Session:
     def since_start_s(self, at_ns: int) -> float:
         """A time as seconds from the first message."""
         return (at_ns - self.start_ns) * 1e-9
+
+    def clock(self, at_ns: int) -> str:
+        """A time by the clock on the wall, where this is read."""
+        return datetime.fromtimestamp(at_ns * 1e-9, UTC).astimezone().strftime("%H:%M:%S")
 
 
 class _Reading:

@@ -202,10 +202,19 @@ def results(session: Session) -> Table:
 def remarks(session: Session) -> Table:
     """Warnings, errors and faults."""
     rows = (
-        (f"{session.since_start_s(one.first_ns):.2f}", str(one.count), one.agent, one.level.lower(), one.text)
+        (
+            f"{session.since_start_s(one.first_ns):.2f}",
+            session.clock(one.first_ns),
+            str(one.count),
+            one.agent,
+            one.level.lower(),
+            one.text,
+        )
         for one in session.remarks
     )
-    return Table("warnings, errors and faults", (" first at s", " times", "agent", "level", "text"), tuple(rows))
+    return Table(
+        "warnings, errors and faults", (" first at s", "clock", " times", "agent", "level", "text"), tuple(rows)
+    )
 
 
 def noted(session: Session) -> Table:
