@@ -37,9 +37,9 @@ from schemas.messages import Centrelines, ThreadObservations
 from shared.arc_length import even_parameters
 from shared.camera import project
 from shared.disparities import disparities_of
-from shared.scene.__main__ import make_scene
-from shared.scene.render import BACKGROUNDS, SceneError, render
-from shared.scene.thread_shapes import ShapeError
+from shared.rendering.__main__ import make_scene
+from shared.rendering.render import BACKGROUNDS, SceneError, render
+from shared.rendering.thread_shapes import ShapeError
 from shared.splines import evaluate
 
 KINDS = (

@@ -28,10 +28,10 @@ from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.perception.agent import Perception, PerceptionConfig
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.following.pair import FollowedPair, follow_pair
+from agents.perception.instances import as_sent
 from agents.perception.observe import observe
 from agents.perception.search import Looked, look_everywhere, look_near
 from agents.perception.segmenter_names import NETWORK
-from agents.perception.told_apart import as_sent
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from benchmarks.measures import Goal, figures, topology_is_right
 from benchmarks.scenes import CLEAR, CROSSING, NONE, OCCLUSION, Pair, Run, Scene, scenes

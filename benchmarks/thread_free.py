@@ -17,8 +17,8 @@ from benchmarks.scenes import Pair
 from schemas.messages import RectifiedStereo, StereoCalibration
 from shared.calibration import read_calibration
 from shared.camera import camera_matrix
-from shared.scene.render import RENDERED, TISSUE, render_backdrop
-from shared.scene.sensor import Sensor, expose, grain
+from shared.rendering.render import RENDERED, TISSUE, render_backdrop
+from shared.rendering.sensor import Sensor, expose, grain
 
 CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
 NEAREST_MM, FARTHEST_MM = 70.0, 120.0

@@ -31,12 +31,12 @@ from agents.tool_tracker.tubes import FINGER, tubes
 from shared.clock import processor_s
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_BASES
+from shared.rendering.backdrop_files import Backdrop
+from shared.rendering.path_traced.solids import Solid
+from shared.rendering.render import render_backdrop
+from shared.rendering.sensor import Sensor, expose, grain
+from shared.rendering.tool_view import Instrument, draw_solids, solids_of
 from shared.rigid_transforms import apply
-from shared.scene.backdrop_files import Backdrop
-from shared.scene.path_traced.solids import Solid
-from shared.scene.render import render_backdrop
-from shared.scene.sensor import Sensor, expose, grain
-from shared.scene.tool_view import Instrument, draw_solids, solids_of
 
 WAYPOINTS = 5
 PERIOD_S = 1.0

@@ -8,7 +8,7 @@ the other: twice the time of the processor, and a third more of the clock's.
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from shared.aside import begun
+from shared.background import begun
 
 Result = TypeVar("Result")
 

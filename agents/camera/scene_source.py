@@ -14,9 +14,9 @@ from jaxtyping import Float32, UInt8
 from schemas.messages import RectifiedStereo, SimulatorState, StereoCalibration
 from shared.calibration.uncertainty import ERRORS
 from shared.camera import camera_matrix
-from shared.scene.centreline import Thread
-from shared.scene.render import COLOURS, Backdrop, SceneError, render_backdrop, render_thread
-from shared.scene.sensor import Sensor, grain, noise_deviation, with_noise
+from shared.rendering.centreline import Thread
+from shared.rendering.render import COLOURS, Backdrop, SceneError, render_backdrop, render_thread
+from shared.rendering.sensor import Sensor, grain, noise_deviation, with_noise
 
 METRES_PER_MM = 1e-3
 GRAIN_MARGIN_PX = 64

@@ -8,12 +8,13 @@ from agents.camera.sources import SourceError
 from agents.configuration.base_file import registered_ns
 from agents.configuration.hosts import run_name
 from agents.configuration.rig import RigConfig
-from agents.launch.around import around
 from agents.launch.builders import build
+from agents.launch.host_facts import around
 from agents.launch.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop, step_back
 from agents.registry import CAMERA, ROBOT_BRIDGE, Pace, with_pace
 from shared.calibration import CalibrationError
 from shared.calibration.made import made_ns
+from shared.rendering.backdrop_files import SceneError
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import NoRouterError, open_when_there
 from shared.runtime.delivery import RouterLinks
@@ -21,7 +22,6 @@ from shared.runtime.facts import Surroundings, ask_for_realtime
 from shared.runtime.process import keep_freed_memory
 from shared.runtime.runner import Runner
 from shared.runtime.session import runs_already
-from shared.scene.backdrop_files import SceneError
 from shared.terminal import complain
 
 REALTIME_PRIORITY = 50

@@ -18,8 +18,8 @@ from agents.configuration.hosts import kind_and_instance, run_name
 from agents.configuration.rig import RigConfig
 from agents.configuration.sections import CameraSection, DvrkSection
 from agents.guard.__main__ import EXIT_LINK_BROKE
-from agents.launch.around import around
 from agents.launch.audit import AuditError, AuditLog, audit_of
+from agents.launch.host_facts import around
 from agents.launch.process import EXIT_GAVE_UP, EXIT_OK, on_stop
 from schemas.messages import Heartbeat
 from schemas.topics import HEARTBEAT, key

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from agents.operator.arming import POLICIES, Commands
 from agents.operator.drawn import DrawnThread
 from agents.operator.field_seen import FieldSeen
-from agents.operator.standing_by import POLICIES, Commands
 from agents.operator.wire import Click
 from agents.operator.words import Voice
 from schemas.messages import CommandAnswer, Outcome

@@ -4,16 +4,16 @@ import asyncio
 import contextlib
 from typing import Any
 
-from agents.operator.beside import Beside
+from agents.operator.arming import Coalescing, Commands, StandingBy
 from agents.operator.choosing import Choosing
 from agents.operator.control import Control, HoldNow
 from agents.operator.field_seen import FieldSeen
 from agents.operator.happened import Happened
-from agents.operator.heard import Heard
+from agents.operator.load import Spare
+from agents.operator.rig_panels import Beside
 from agents.operator.screen import Screen
 from agents.operator.showing import Showing
-from agents.operator.spare import Spare
-from agents.operator.standing_by import Coalescing, Commands, StandingBy
+from agents.operator.subscriptions import Heard
 from agents.operator.surroundings import Surroundings
 from agents.operator.wire import (
     Beat,

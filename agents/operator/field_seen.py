@@ -14,8 +14,8 @@ from agents.operator.drawn import (
     draw_thread,
     draw_tool,
 )
-from agents.operator.heard import Heard
 from agents.operator.pictures import Resample
+from agents.operator.subscriptions import Heard
 from agents.operator.surroundings import Surroundings
 from agents.operator.wire import compact
 from agents.operator.words import OUT_OF_ORDER, Seen, arm_words

@@ -3,11 +3,11 @@
 from dataclasses import replace
 from typing import Any
 
-from agents.operator.beside import Beside, left_to_judge
+from agents.operator.arming import SENDER, StandingBy
 from agents.operator.choosing import Choosing
 from agents.operator.control import Control
 from agents.operator.field_seen import FieldSeen
-from agents.operator.standing_by import SENDER, StandingBy
+from agents.operator.rig_panels import Beside, left_to_judge
 from agents.operator.words import Voice, event_words
 from schemas.messages import (
     ExecutionEvent,

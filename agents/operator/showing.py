@@ -6,9 +6,9 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from agents.operator.field_seen import FieldSeen
+from agents.operator.load import Spare
 from agents.operator.pictures import DRAWN_FULL_S, LEVELS, as_it_came, due, encoded
 from agents.operator.screen import Screen
-from agents.operator.spare import Spare
 from agents.operator.wire import Shown, joined
 from schemas.messages import StereoFrame
 from schemas.topics import CALIBRATION, FRAMES, Topic

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from agents.operator.load import Processors, processors
 from agents.operator.pictures import Resample
-from agents.operator.spare import Processors, processors
 from schemas.messages import StereoCalibration
 
 

@@ -6,24 +6,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.beside import begun_beside
-from agents.perception.due import Due, due
+from agents.perception.background_search import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
+from agents.perception.concurrent import begun_beside
 from agents.perception.following.follow import every_second
 from agents.perception.following.pair import FollowedPair, follow_pair
+from agents.perception.instances import told_apart
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
 from agents.perception.judging.whole import judge_whole
 from agents.perception.needle import needle_observed
 from agents.perception.observe import observe
 from agents.perception.occluders import instruments_in
-from agents.perception.prompted import answer_to
+from agents.perception.prompt_answer import answer_to
+from agents.perception.schedule import Due, due
 from agents.perception.search import FRAMES_BETWEEN_LOOKS, Looked, look_everywhere, look_near
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, SEGMENTER_NAMES
 from agents.perception.surface import tissue_surface
-from agents.perception.told_apart import told_apart
 from agents.perception.unusable import nominal_camera, unusable
-from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
@@ -38,7 +38,7 @@ from schemas.messages import (
     TrackStep,
 )
 from schemas.topics import CALIBRATION, FRAMES, NEEDLE_SEEN, OBSERVATIONS, PROMPT, SURFACE, THREAD
-from shared.aside import begun
+from shared.background import begun
 from shared.calibration.identity import calibration_id
 from shared.calibration.uncertainty import covariance_of
 from shared.frame_checks import apart, mismatch

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from agents.perception.due import judged_in
 from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
+from agents.perception.schedule import judged_in
 from agents.perception.segmentation.boxes import Near
 from agents.perception.segmentation.choice import SCORED, SEGMENTERS, Segmenter, suitable_segmenter
 from schemas.messages import Judgement, Status, ThreadObservations

@@ -12,8 +12,8 @@ from agents.planner.learning import Attempt, next_attempt, same_attempt
 from agents.planner.needle import NeedleAround, needle_around
 from agents.planner.plan import plan_grasp
 from agents.planner.refusal import RefusedGoalError, clock_unknown, planned_from, surface_unusable
-from agents.planner.standing import SeenTissue
 from agents.planner.tissue import tissue_of
+from agents.planner.tissue_clearance import SeenTissue
 from agents.planner.tools import tool_cells
 from agents.planner.watch import Watch, check_of, goal_again
 from schemas.messages import (

@@ -19,7 +19,7 @@ from agents.planner.config import PlannerConfig
 from agents.planner.places import Places
 from agents.planner.policy import Against, first_against, most_likely
 from agents.planner.poses import turn_between
-from agents.planner.standing import SeenTissue, Standing, accepted, standings
+from agents.planner.tissue_clearance import SeenTissue, Standing, accepted, standings
 from agents.planner.ways import UNTILTED, Reachable, Ways, along_slide, reached, steps_along_slide, ways_along
 from schemas.messages import Policy
 

@@ -22,7 +22,7 @@ frame. Then it is m + t that is d,
 Both alike before, the probability of being held is p(m, t | held) / (p(m, t | held) + p(m, t | missed)). It is held
 above `sure`, missed below 1 − `sure`, and unknown in between: what m is far from both says nothing, and nothing is
 guessed.
-A lift goes back along the viewing ray; so a plan goes on sideways (`aside.py`).
+A lift goes back along the viewing ray; so a plan goes on sideways (`retreat.py`).
 
 On a robot that measures its jaws' angle well enough the angle at which they stop tells as well: around thread of
 0.4 mm, 8 mm from the pin, they stop 3° open. Backlash of driven cables is as much, so it is not used.

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from agents.planner.aside import NOWHERE, aside_of, with_aside
 from agents.planner.captures import ArmView, Captures, Choice, best_choice, least_pressed
 from agents.planner.chances import PAPER, Known, known_along
 from agents.planner.check import SAMPLES_BEFORE, around
@@ -14,7 +13,8 @@ from agents.planner.learning import Attempt, first_attempt, offset_for, plan_id
 from agents.planner.needle import NeedleAround
 from agents.planner.places import asked_of, places_along
 from agents.planner.policy import Against, alternatives, candidates, counted_reasons, reason_of
-from agents.planner.standing import NOTHING_SEEN, SeenTissue, clearance_of, pressed_sentence
+from agents.planner.retreat import NOWHERE, aside_of, with_aside
+from agents.planner.tissue_clearance import NOTHING_SEEN, SeenTissue, clearance_of, pressed_sentence
 from schemas.messages import (
     Alternative,
     GraspGoal,

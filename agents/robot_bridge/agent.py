@@ -11,10 +11,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from agents.robot_bridge.arm_status import Challenges, Sight, Standing, too_old
 from agents.robot_bridge.backend import ArmState, Backend
 from agents.robot_bridge.config import RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.execution import Execution, Patience
 from agents.robot_bridge.motion import Trajectory, contact_joints, left_of, plan_motion
+from agents.robot_bridge.outputs import accepted, event_of, mode_of, refused, robot_state
 from agents.robot_bridge.plans import (
     CLOCK_TOLERANCE_S,
     REPLAYED,
@@ -26,9 +28,7 @@ from agents.robot_bridge.plans import (
     untimely,
     wrong_frame,
 )
-from agents.robot_bridge.standing import Challenges, Sight, Standing, too_old
 from agents.robot_bridge.state_changes import StateChanges
-from agents.robot_bridge.telling import accepted, event_of, mode_of, refused, robot_state
 from schemas.messages import (
     Arm,
     ChangeState,

@@ -7,8 +7,8 @@ an event of the command's id tells it, and afterwards one that it did not.
 from dataclasses import dataclass
 
 from agents.robot_bridge.backend import Backend
+from agents.robot_bridge.outputs import accepted, event_of, refused
 from agents.robot_bridge.plans import Code, Refusal
-from agents.robot_bridge.telling import accepted, event_of, refused
 from schemas.messages import ChangeState, CommandAnswer, ExecutionKind, StateWord
 from shared.runtime.agent import Output
 from shared.runtime.commands import stops

@@ -52,7 +52,7 @@ class SimulatorConfig:
     """What the field looks like, and how well the robot knows where its fingers are.
 
     Fields:
-        config, background, colour, seed: as of shared.scene.
+        config, background, colour, seed: as of shared.rendering.
         distance_mm: from the camera to the tissue.
         tool_error_mm: deviation of each axis of the error in the tool's position, which is drawn for each plan.
         hand_eye_error_mm, hand_eye_error_deg: the most by which an arm's tool is shifted, and turned about the middle

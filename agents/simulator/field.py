@@ -17,10 +17,10 @@ from jaxtyping import Float64
 from schemas.messages import RectifiedStereo
 from shared.arc_length import even_parameters, length
 from shared.camera import project
-from shared.scene.centreline import Thread
-from shared.scene.render import surface_of
-from shared.scene.surface import Surface, depth_at_points
-from shared.scene.thread_shapes import thread_on
+from shared.rendering.centreline import Thread
+from shared.rendering.render import surface_of
+from shared.rendering.surface import Surface, depth_at_points
+from shared.rendering.thread_shapes import thread_on
 from shared.splines import basis_matrix, clamped_uniform_knots, evaluate
 
 MM = 1e-3
@@ -54,7 +54,7 @@ class Field:
 
 
 def field_of(camera: RectifiedStereo, config: str, background: str, distance_mm: float, seed: int) -> Field:
-    """The field that shared.scene draws for a configuration; the camera is in millimetres.
+    """The field that shared.rendering draws for a configuration; the camera is in millimetres.
 
     Raises:
         SceneError, ShapeError: where there is no such background or configuration, or it does not fit the view.
@@ -64,7 +64,7 @@ def field_of(camera: RectifiedStereo, config: str, background: str, distance_mm:
 
 
 def field_with(thread: Thread, surface: Surface) -> Field:
-    """A field with a given thread, in millimetres as in shared.scene."""
+    """A field with a given thread, in millimetres as in shared.rendering."""
     control_points = MM * thread.control_points
     s = even_parameters(thread.knots, control_points, DEGREE, SAMPLES)
     points = evaluate(thread.knots, control_points, DEGREE, s)

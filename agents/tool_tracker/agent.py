@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from agents.tool_tracker import ToolTrackerConfig
 from agents.tool_tracker.refinement import View
 from agents.tool_tracker.search import soft_pair
-from agents.tool_tracker.told import told_of, track_of
 from agents.tool_tracker.track import begun, followed, missed
+from agents.tool_tracker.track_message import told_of, track_of
 from agents.tool_tracker.tubes import Placed, in_metres, placed_at
 from schemas.messages import RobotState, StereoCalibration, StereoFrame, ToolCorrection, ToolStatus
 from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, TOOL

@@ -76,7 +76,7 @@ class Later:
     next one of an agent waits for the one before it. None of a topic that the agent goes on from.
 
     Fields:
-        coming: its message (`shared.aside`).
+        coming: its message (`shared.background`).
     """
 
     topic: Topic

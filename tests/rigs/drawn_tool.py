@@ -9,8 +9,8 @@ from jaxtyping import Float64
 from schemas.messages import RectifiedStereo
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
-from shared.scene.sensor import Sensor, expose, grain
-from shared.scene.tool_view import Instrument, draw_solids, solids_of
+from shared.rendering.sensor import Sensor, expose, grain
+from shared.rendering.tool_view import Instrument, draw_solids, solids_of
 
 CAMERA = RectifiedStereo(640, 360, 660.0, 660.0, 319.5, 179.5, 0.0055, 1.0)
 IN_MM = dataclasses.replace(CAMERA, baseline=5.5, metres_per_unit=1e-3)

@@ -7,17 +7,17 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from agents.perception.instances import as_sent
 from agents.perception.observe import observe
-from agents.perception.told_apart import as_sent
 from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations
 from shared.arc_length import even_parameters
 from shared.calibration.uncertainty import ERRORS
 from shared.camera import project
+from shared.rendering.centreline import Thread
+from shared.rendering.render import mask_of, render_backdrop, render_thread, surface_of
+from shared.rendering.sensor import Sensor, expose, grain
+from shared.rendering.thread_shapes import thread_on
 from shared.rigid_transforms import exp_so3
-from shared.scene.centreline import Thread
-from shared.scene.render import mask_of, render_backdrop, render_thread, surface_of
-from shared.scene.sensor import Sensor, expose, grain
-from shared.scene.thread_shapes import thread_on
 from shared.splines import basis_matrix, evaluate
 
 CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)

@@ -26,8 +26,8 @@ from agents.evaluation.trial import RIG
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from schemas.messages import ImageEncoding
 from shared.recording.mcap_file import Note
+from shared.rendering.render import SceneError
 from shared.runtime.config import ConfigError, parse_config
-from shared.scene.render import SceneError
 from shared.terminal import complain, say, show
 
 EXIT_LEFT = 3

@@ -17,7 +17,7 @@ from schemas.codec import decode
 from schemas.messages import ExecutionEvent, ExecutionKind, RobotState, SimulatorState
 from schemas.topics import EXECUTION, ROBOT_STATE, SIMULATOR_STATE, topic_of
 from shared.recording.mcap_file import Entry
-from shared.scene.render import SceneError
+from shared.rendering.render import SceneError
 
 Bgr = UInt8[np.ndarray, "h w 3"]
 COLOUR = {"held": (80, 200, 80), "failed": (60, 60, 230), "declined": (150, 150, 150)}

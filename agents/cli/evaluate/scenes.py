@@ -15,19 +15,19 @@ from agents.simulator.agent import ENDOSCOPE, Simulator, SimulatorConfig
 from agents.simulator.field import DEGREE, Field, field_with, starting_first
 from schemas.messages import SimulatorState, StereoCalibration
 from schemas.topics import SIMULATOR_STATE
+from shared.rendering.centreline import Thread
+from shared.rendering.path_traced.batch import Job, make, outstanding
+from shared.rendering.path_traced.field import Field as TracedField
+from shared.rendering.path_traced.ground import Ground
+from shared.rendering.path_traced.placing import occluders
+from shared.rendering.path_traced.recipe import Recipe, arranged
+from shared.rendering.path_traced.solids import Solid
+from shared.rendering.path_traced.splines import Curve, strand_of
+from shared.rendering.render import SceneError, surface_of
+from shared.rendering.surface import Surface
+from shared.rendering.thread_shapes import ShapeError
+from shared.rendering.tool_view import Instrument, draw_solids
 from shared.runtime.agent import Output, Tick
-from shared.scene.centreline import Thread
-from shared.scene.path_traced.batch import Job, make, outstanding
-from shared.scene.path_traced.field import Field as TracedField
-from shared.scene.path_traced.ground import Ground
-from shared.scene.path_traced.placing import occluders
-from shared.scene.path_traced.recipe import Recipe, arranged
-from shared.scene.path_traced.solids import Solid
-from shared.scene.path_traced.splines import Curve, strand_of
-from shared.scene.render import SceneError, surface_of
-from shared.scene.surface import Surface
-from shared.scene.thread_shapes import ShapeError
-from shared.scene.tool_view import Instrument, draw_solids
 from shared.splines import basis_matrix, clamped_uniform_knots
 
 NEAR_MM, FAR_MM = 75.0, 110.0

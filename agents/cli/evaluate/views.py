@@ -10,12 +10,12 @@ from agents.camera.scene_source import camera_in_mm
 from agents.camera.sources import Pair
 from agents.cli.evaluate.scenes import Scenery
 from schemas.messages import RobotState, SimulatorState
-from shared.scene.backdrop_files import Backdrop
-from shared.scene.centreline import Thread
-from shared.scene.render import render_backdrop, render_thread
-from shared.scene.sensor import Sensor, expose, grain
-from shared.scene.surface import meet_rays, ray_tangents
-from shared.scene.tool_view import Instrument, draw_solids, solids_of
+from shared.rendering.backdrop_files import Backdrop
+from shared.rendering.centreline import Thread
+from shared.rendering.render import render_backdrop, render_thread
+from shared.rendering.sensor import Sensor, expose, grain
+from shared.rendering.surface import meet_rays, ray_tangents
+from shared.rendering.tool_view import Instrument, draw_solids, solids_of
 
 Bgr = UInt8[np.ndarray, "h w 3"]
 MARGIN_PX, RADIUS_PX = 9, 5

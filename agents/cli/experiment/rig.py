@@ -17,7 +17,7 @@ from agents.configuration.rig import (
     SimulatorSection,
     simulated_rig,
 )
-from agents.experiment.journal import Protocol
+from agents.grasp_experiment.journal import Protocol
 from agents.launch.session_folder import SessionFolder, new_session_folder
 from agents.launch.supervisor import Role, Supervisor, last_line, supervised
 from shared.runtime.config import ConfigError, parse_config

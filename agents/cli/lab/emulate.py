@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from agents.cli.lab.emulate_options import Emulate
-from agents.emulator.arm import start_of
-from agents.emulator.asked import answering
-from agents.emulator.console import Behaviour, EmulatedConsole
-from agents.emulator.oracle import Field, Oracle
-from agents.emulator.wire import BridgeWire, RmwWire
+from agents.dvrk_emulator.arm import start_of
+from agents.dvrk_emulator.asked import answering
+from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
+from agents.dvrk_emulator.oracle import Field, Oracle
+from agents.dvrk_emulator.wire import BridgeWire, RmwWire
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from shared.clock import monotonic_s
 from shared.runtime.connection import NoRouterError, open_when_there

@@ -10,14 +10,14 @@ from agents.cli.lab.scenes_options import Scenes
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from schemas.messages import RectifiedStereo, Severity
 from shared.calibration import CalibrationError, read_calibration
-from shared.scene.backdrop_files import write_backdrop
-from shared.scene.path_traced.backdrop import traced_backdrop
-from shared.scene.path_traced.batch import LARGEST_OFFSET_PX, Done, Job, make_all, outstanding
-from shared.scene.path_traced.engine import engine
-from shared.scene.path_traced.eyes import Rig, calibrated_rig, rectified_rig
-from shared.scene.path_traced.meshes import driver_parts
-from shared.scene.path_traced.recipe import Recipe
-from shared.scene.render import SceneError
+from shared.rendering.backdrop_files import write_backdrop
+from shared.rendering.path_traced.backdrop import traced_backdrop
+from shared.rendering.path_traced.batch import LARGEST_OFFSET_PX, Done, Job, make_all, outstanding
+from shared.rendering.path_traced.engine import engine
+from shared.rendering.path_traced.eyes import Rig, calibrated_rig, rectified_rig
+from shared.rendering.path_traced.meshes import driver_parts
+from shared.rendering.path_traced.recipe import Recipe
+from shared.rendering.render import SceneError
 from shared.terminal import complain, say, warn
 
 EXIT_SOME = 1

@@ -16,7 +16,7 @@ from agents.configuration.rig import RigConfig
 from agents.diagnostics.status.gathered import expected_rates
 from agents.diagnostics.status.health_watch import HealthWatch, name_of
 from agents.diagnostics.status.report import watched
-from agents.launch.in_the_way import already_running, in_the_way
+from agents.launch.preflight import already_running, in_the_way
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.launch.session_folder import SessionFolder, new_session_folder
 from agents.launch.supervisor import Change, Role, Supervisor, last_line, supervised

@@ -23,9 +23,9 @@ from agents.configuration.this_host import rig_of
 from agents.diagnostics.status.health_watch import Fare
 from agents.diagnostics.status.judgement import judge
 from agents.diagnostics.status.watch import StatusWatch
-from agents.launch.around import telling
 from agents.launch.audit import audit_of
-from agents.launch.in_the_way import already_running, in_the_way
+from agents.launch.host_facts import telling
+from agents.launch.preflight import already_running, in_the_way
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.launch.session_folder import new_session_folder
 from agents.launch.supervisor import Supervisor, last_line, supervised

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from agents.perception.instances import as_sent, told_apart
 from agents.perception.judging.answers import judgements
 from agents.perception.judging.picture import about_exposure, exposures
 from agents.perception.judging.whole import judge_whole
@@ -13,7 +14,6 @@ from agents.perception.observe import observe
 from agents.perception.search import look_everywhere
 from agents.perception.segmentation.choice import SEGMENTERS, Segmenter
 from agents.perception.segmenter_names import GIVEN_MASKS
-from agents.perception.told_apart import as_sent, told_apart
 from agents.reconstruction.method_names import MATCHING_METHODS
 from agents.reconstruction.methods import METHODS
 from schemas.messages import FrameStamp, StereoCalibration, ThreadObservations, ThreadReconstruction

@@ -14,7 +14,7 @@ from agents.cli.recordings.facts import STUDY_FACTS, attached_to, clocks_note, n
 from agents.cli.recordings.one_after_another import Recordings
 from agents.configuration.hosts import kind_and_instance
 from agents.configuration.rig import RecorderSection, RigConfig
-from agents.launch.around import telling, told_without
+from agents.launch.host_facts import telling, told_without
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.launch.session_folder import free_path
 from agents.launch.supervisor import SUPERVISED

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agents.cli.live.options import View
 from agents.configuration.rig import RigConfig
-from agents.launch.around import telling, told_without
+from agents.launch.host_facts import telling, told_without
 from agents.launch.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
 from agents.launch.session_folder import free_path
 from agents.replay.contents import WindowError, moment_ns

@@ -23,9 +23,9 @@ from agents.diagnostics.status.judgement import LEAST_FREE_BYTES, NS_PER_S, expi
 from agents.launch.builders import build
 from shared.calibration import CalibrationError
 from shared.clock import now_ns
+from shared.rendering.backdrop_files import SceneError
 from shared.runtime.config import ConfigError
 from shared.runtime.identity import AUTHORITY_FILE, IdentityError, identity_in, validity_ns
-from shared.scene.backdrop_files import SceneError
 
 FIRST_SANE_NS = 1_700_000_000_000_000_000
 """The end of 2023: a clock before that was never set."""

@@ -6,7 +6,7 @@ import ssl
 
 from agents.configuration.rig import RigConfig
 from agents.diagnostics.doctor.finding import Finding
-from agents.launch.in_the_way import TCP, in_the_way
+from agents.launch.preflight import TCP, in_the_way
 from shared.runtime.identity import Identity
 from shared.runtime.session import SessionSettings
 

@@ -12,8 +12,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from agents.perception.both_eyes.network_inputs import (
+    LEFT,
+    Image,
+    Shown,
+    numbers,
+    numbers_from_other_side,
+    shown_in_both,
+)
 from agents.perception.both_eyes.same_places import same_places
-from agents.perception.both_eyes.shown import LEFT, Image, Shown, numbers, numbers_from_other_side, shown_in_both
 from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import STEPS
 from schemas.messages import Centrelines

@@ -22,7 +22,7 @@ from agents.perception.training.clutter import with_blood, with_glints, with_smo
 from agents.perception.training.drawn_layers import Layers
 from agents.perception.training.dyeing import with_other_dye, with_second_strand
 from agents.perception.training.jpeg import compressed
-from agents.perception.training.lots import Lots
+from agents.perception.training.random_numbers import Lots
 
 DYED_SHARE, STRANDS_SHARE = 0.6, 0.15
 VESSELS_SHARE, BLOOD_SHARE, GLINTS_SHARE, TOOLS_SHARE, SMOKE_SHARE = 0.3, 0.3, 0.3, 0.25, 0.1

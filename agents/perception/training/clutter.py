@@ -12,7 +12,7 @@ import torch
 from torch.nn import functional
 
 from agents.perception.training.blurring import blurred
-from agents.perception.training.lots import Lots
+from agents.perception.training.random_numbers import Lots
 
 Rod = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 """Tip (n, 2), the way it goes from there, radius there, and how much that grows on the way."""

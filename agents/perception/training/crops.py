@@ -14,7 +14,7 @@ from jaxtyping import Float64, UInt8
 from agents.perception.segmentation.classes import Kind, highest, scores_of
 from agents.perception.training.augmentation import varied
 from agents.perception.training.drawn_layers import Layers, drawn_layers
-from agents.perception.training.lots import Lots, lots_of
+from agents.perception.training.random_numbers import Lots, lots_of
 from agents.perception.training.scenes import View
 
 ON_THREAD_SHARE = 0.6

@@ -10,7 +10,7 @@ import torch
 from torch.nn import functional
 
 from agents.perception.training.blurring import blurred, spread
-from agents.perception.training.lots import Lots
+from agents.perception.training.random_numbers import Lots
 
 CORE = 230.0
 """Coverage, 0 to 255, from which on a pixel shows thread alone."""

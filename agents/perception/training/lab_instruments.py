@@ -22,7 +22,7 @@ from agents.perception.training.lab_ground import (
     one_of,
     soft,
 )
-from shared.scene.path_traced.meshes import (
+from shared.rendering.path_traced.meshes import (
     FORK_TO_PIN_MM,
     HANGS_AT,
     JAW_MM,
@@ -32,7 +32,7 @@ from shared.scene.path_traced.meshes import (
     driver_parts,
     turned_about,
 )
-from shared.scene.path_traced.solids import Solid as TracedSolid
+from shared.rendering.path_traced.solids import Solid as TracedSolid
 
 SHAFT, STEEL, WRIST, JAW_1, JAW_2, PLASTIC = range(6)
 

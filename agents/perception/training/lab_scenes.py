@@ -41,7 +41,7 @@ from agents.perception.training.lab_strands import (
     stitches,
     thread_look,
 )
-from shared.scene.render import SceneError
+from shared.rendering.render import SceneError
 
 SIZES = (640, 480), (720, 576), (720, 540), (938, 528), (960, 540), (960, 720), (1024, 768), (1280, 720), (1280, 960)
 SIZE_SHARES = 0.2, 0.1, 0.1, 0.1, 0.15, 0.1, 0.1, 0.1, 0.05

@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from schemas.messages import RectifiedStereo
-from shared.scene.__main__ import ENDOSCOPE
-from shared.scene.centreline import Thread, sample_centreline, shifted_to_right
-from shared.scene.compositing import cast_shadow, lay_over, shade_tube
-from shared.scene.render import COLOURS, Backdrop, render_backdrop
-from shared.scene.sensor import Sensor, expose, grain
-from shared.scene.thread_shapes import CONFIGS, ShapeError, thread_on
-from shared.scene.tissue import GAMMA, vignette
-from shared.scene.tube import TubePixels, coverage_image, tube_pixels
+from shared.rendering.__main__ import ENDOSCOPE
+from shared.rendering.centreline import Thread, sample_centreline, shifted_to_right
+from shared.rendering.compositing import cast_shadow, lay_over, shade_tube
+from shared.rendering.render import COLOURS, Backdrop, render_backdrop
+from shared.rendering.sensor import Sensor, expose, grain
+from shared.rendering.thread_shapes import CONFIGS, ShapeError, thread_on
+from shared.rendering.tissue import GAMMA, vignette
+from shared.rendering.tube import TubePixels, coverage_image, tube_pixels
 
 SCENES_PER_BACKDROP = 3
 THREADS = 0, 1, 1, 1, 1, 2

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from agents.perception.both_eyes.same_places import SamePlaces, between, same_places
-from agents.perception.both_eyes.shown import (
+from agents.perception.both_eyes.network_inputs import (
     LEFT,
     PLACES,
     RIGHT,
@@ -21,6 +20,7 @@ from agents.perception.both_eyes.shown import (
     together,
     upside_down,
 )
+from agents.perception.both_eyes.same_places import SamePlaces, between, same_places
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import has_plain_ground, reach_px

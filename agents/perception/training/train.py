@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from agents.perception.training.ahead import made_ahead
 from agents.perception.training.architecture import ClassNet, WeightsError, network_of, unfolded
 from agents.perception.training.crops import Pixels, batches_of, pixels_of
 from agents.perception.training.export import convolutions, export
 from agents.perception.training.losses import class_loss
+from agents.perception.training.prefetch import made_ahead
 from agents.perception.training.scenes import SceneFolderError, View, views_in
 from shared.clock import monotonic_s
 

@@ -14,7 +14,7 @@ from jaxtyping import Float64
 
 from agents.simulator.contact.material import Material
 from agents.simulator.field import MM, SAMPLES, Field
-from shared.scene.surface import depth_at_points
+from shared.rendering.surface import depth_at_points
 
 
 @dataclass(frozen=True)

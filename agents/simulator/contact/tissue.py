@@ -12,8 +12,8 @@ from jaxtyping import Float64
 
 from agents.simulator.contact.material import NEWTON, Material
 from agents.simulator.contact.model import FINGER_MM, THICKNESS_MM, WIDTH_MM
+from shared.rendering.surface import Surface, depth_at_points
 from shared.rigid_transforms import apply
-from shared.scene.surface import Surface, depth_at_points
 
 SLOPE_OVER_MM = 0.5
 ALONG, ACROSS, OUT = 24, 3, 3

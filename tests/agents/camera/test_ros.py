@@ -10,8 +10,8 @@ import pytest
 from agents.camera.ros import RosSource
 from agents.camera.sources import SourceError
 from agents.configuration.rig import RigConfig
-from agents.emulator.messages import header
-from agents.emulator.wire import HASHES, BridgeWire, RmwWire
+from agents.dvrk_emulator.messages import header
+from agents.dvrk_emulator.wire import HASHES, BridgeWire, RmwWire
 from agents.launch.builders import build
 from schemas.messages import StereoCalibration, StereoFrame
 from shared.clock import now_ns

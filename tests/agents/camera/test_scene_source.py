@@ -10,11 +10,11 @@ from agents.camera.scene_source import SceneSource, calibration_of, camera_in_mm
 from schemas.messages import RectifiedStereo, SimulatorState
 from schemas.topics import CALIBRATION, FRAME_NOTICE, FRAMES, SIMULATOR_STATE
 from shared.calibration.identity import calibration_id
+from shared.rendering.render import Scene, render
+from shared.rendering.sensor import NO_NOISE
+from shared.rendering.surface import flat_surface
+from shared.rendering.thread_shapes import thread_on
 from shared.runtime.agent import Received, Tick, outputs_in
-from shared.scene.render import Scene, render
-from shared.scene.sensor import NO_NOISE
-from shared.scene.surface import flat_surface
-from shared.scene.thread_shapes import thread_on
 
 CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5e-3, 1.0)
 THREAD_MM = thread_on(camera_in_mm(CAMERA), flat_surface(95.0), "medium", 2)

@@ -13,9 +13,9 @@ import pytest
 
 from agents.cli.main import main
 from schemas.messages import RectifiedStereo
-from shared.scene.__main__ import make_scene
-from shared.scene.files import write_pair
-from shared.scene.render import render
+from shared.rendering.__main__ import make_scene
+from shared.rendering.files import write_pair
+from shared.rendering.render import render
 
 REPOSITORY = Path(__file__).parents[3]
 DATA = REPOSITORY / "../shared/data"

@@ -21,7 +21,7 @@ from agents.diagnostics.doctor.rules import verdict
 from agents.diagnostics.status.gathered import Gathered
 from agents.diagnostics.status.health_watch import Fare
 from agents.launch.agent_process import calibrated_ns, surroundings
-from agents.launch.in_the_way import already_running
+from agents.launch.preflight import already_running
 from agents.planner.agent import Planner
 from shared.clock import now_ns
 from shared.runtime.access import Trial, access_control

@@ -11,9 +11,9 @@ import pytest
 from agents.configuration.rig import ArmSection, simulated_rig
 from agents.configuration.sections import DvrkSection
 from agents.diagnostics.doctor.console import CONFORMANCE, TELEOPERATION, Told, examine_console, judged
-from agents.emulator.console import Behaviour, EmulatedConsole
-from agents.emulator.oracle import Field, Oracle
-from agents.emulator.wire import BridgeWire, RmwWire
+from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
+from agents.dvrk_emulator.oracle import Field, Oracle
+from agents.dvrk_emulator.wire import BridgeWire, RmwWire
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.rigid_transforms import transform

@@ -12,8 +12,8 @@ from pydantic import BaseModel
 from agents.camera.agent import Camera
 from agents.configuration.rig import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
 from agents.launch.builders import build
-from agents.launch.in_the_way import in_the_way, taken
 from agents.launch.perception_builder import perception_config
+from agents.launch.preflight import in_the_way, taken
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
 from agents.robot_bridge.agent import RobotBridgeConfig

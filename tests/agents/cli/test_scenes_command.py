@@ -11,10 +11,10 @@ import pytest
 from agents.cli.lab.scenes import EXIT_SOME, jobs_of, run, summary
 from agents.cli.lab.scenes_options import Scenes
 from shared.calibration import write_calibration
+from shared.rendering.path_traced.batch import Done
+from shared.rendering.render import SceneError
 from shared.rigid_transforms import inverse
-from shared.scene.path_traced.batch import Done
-from shared.scene.render import SceneError
-from tests.shared.scene.path_traced.test_eyes import calibration
+from tests.shared.rendering.path_traced.test_eyes import calibration
 
 TRACES = importlib.util.find_spec("mitsuba") is not None
 

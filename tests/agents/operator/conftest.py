@@ -15,8 +15,8 @@ from tests.agents.operator.by_hand import HERE, PATIENT_S
 def patient(settings, monkeypatch):
     """A test machine may stall."""
     monkeypatch.setattr("agents.operator.choosing.AGAIN_FOR_S", PATIENT_S)
-    monkeypatch.setattr("agents.operator.standing_by.PLAN_ARRIVES_S", PATIENT_S)
-    monkeypatch.setattr("agents.operator.standing_by.new_header", lambda sender: new_header(sender, PATIENT_S))
+    monkeypatch.setattr("agents.operator.arming.PLAN_ARRIVES_S", PATIENT_S)
+    monkeypatch.setattr("agents.operator.arming.new_header", lambda sender: new_header(sender, PATIENT_S))
     monkeypatch.setattr("shared.runtime.commands.FARTHEST_DEADLINE_S", 2 * PATIENT_S)
     return settings
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from agents.operator.arming import EVERY_S, TRIED, Coalescing, Holds, StandingBy
 from agents.operator.control import Control, Effect, HoldNow, Noted
 from agents.operator.desk import until
-from agents.operator.standing_by import EVERY_S, TRIED, Coalescing, Holds, StandingBy
 from agents.operator.words import Voice
 from schemas.messages import CommandAnswer, Outcome
 from tests.conftest import wait_until

@@ -14,7 +14,7 @@ import yarl
 
 from agents.cli.page.command import run
 from agents.cli.page.options import Page
-from agents.operator.spare import Processors
+from agents.operator.load import Processors
 from agents.operator.wire import KINDS
 from schemas.codec import decode
 from schemas.messages import Arm, CommandRecord, ExecutionEvent, ExecutionKind, Heartbeat

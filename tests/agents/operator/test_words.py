@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.operator.beside import Finished, left_to_judge
 from agents.operator.control import Control
 from agents.operator.drawn import BETTER_ELSEWHERE
+from agents.operator.rig_panels import Finished, left_to_judge
 from agents.operator.words import Seen, arm_words, event_words, sentence, tool_words
 from agents.planner import policy
 from agents.robot_bridge.plans import Code

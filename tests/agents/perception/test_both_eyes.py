@@ -8,10 +8,10 @@ from agents.perception.both_eyes.apart import drawn_together
 from agents.perception.both_eyes.same_places import between, same_places
 from agents.perception.centrelines.along import Pieces, evenly_spaced
 from agents.perception.following.pair import follow_pair
+from agents.perception.instances import as_sent
 from agents.perception.observe import observe
 from agents.perception.segmentation.network import segment_network
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK
-from agents.perception.told_apart import as_sent
 from schemas.messages import Centrelines, FrameStamp
 from shared.disparities import disparities, disparities_of
 from tests.agents.perception.pictures import rendered

@@ -8,18 +8,18 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.agents.perception.test_instances import observed, told
 
 from agents.camera.scene_source import calibration_of
-from agents.perception.due import FRAMES_BETWEEN, GLANCES_AFTER_LOOK, LONGEST_REST, OLDEST_S, REST, Due, due
+from agents.perception.background_search import FRAMES_BETWEEN_LOOKS_WATCHED
 from agents.perception.glances.glance import PARTS, Part, glance, next_part, part_score
-from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED
+from agents.perception.schedule import FRAMES_BETWEEN, GLANCES_AFTER_LOOK, LONGEST_REST, OLDEST_S, REST, Due, due
 from schemas.codec import encode
 from schemas.messages import Status
 from schemas.topics import SURFACE
 from shared.images import decode_image
-from shared.scene.__main__ import ENDOSCOPE
+from shared.rendering.__main__ import ENDOSCOPE
 from tests.agents.perception.pictures import agent_with, fed, frame_of, noisy, rendered_pair
-from tests.agents.perception.test_told_apart import observed, told
 
 EVERY, EIGHT_SECONDS = 3, 240
 """Of the frames of a camera of 30 Hz these are seen, as by a slow machine."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agents.camera.scene_source import calibration_of
-from agents.perception import told_apart
+from agents.perception import instances
 from agents.perception.agent import Perception, PerceptionConfig
 from agents.perception.needle import needle_region
 from agents.perception.surface import tissue_surface
@@ -19,9 +19,9 @@ from schemas.messages import FrameStamp, Occluder, TissueSurface
 from schemas.topics import CALIBRATION, FRAMES, NEEDLE_SEEN, OBSERVATIONS, SURFACE, topic_of
 from shared.images import decode_image
 from shared.recording.mcap_file import read_recording
+from shared.rendering.__main__ import ENDOSCOPE
+from shared.rendering.render import render_backdrop
 from shared.runtime.agent import outputs_in
-from shared.scene.__main__ import ENDOSCOPE
-from shared.scene.render import render_backdrop
 from tests.agents.perception.pictures import agent_with, frame_of, rendered, rendered_pair, replies
 
 STAMP = FrameStamp(4, 5, 6, "made up")
@@ -138,7 +138,7 @@ def grey_in(image):
 
 @pytest.mark.slow
 def test_an_instrument_is_no_tissue_though_it_could_be_measured(monkeypatch):
-    monkeypatch.setattr(told_apart, "occluders_in", grey_in)
+    monkeypatch.setattr(instances, "occluders_in", grey_in)
     tissue_px = round(ENDOSCOPE.fx_px * ENDOSCOPE.baseline / 90.0)
     surface, observed = told(with_tool(rendered_pair(), tissue_px + 60))
     known = decode_image(observed.occluders.left)

@@ -8,8 +8,8 @@ import numpy as np
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
 from agents.planner.plan import plan_grasp
-from agents.planner.standing import NOTHING_SEEN, SeenTissue
 from agents.planner.tissue import tissue_of
+from agents.planner.tissue_clearance import NOTHING_SEEN, SeenTissue
 from schemas.codec import decode, encode
 from schemas.messages import (
     CommandHeader,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from agents.robot_bridge.agent import RobotBridgeConfig
+from agents.robot_bridge.arm_status import Sight
 from agents.robot_bridge.limits import MotionLimits
-from agents.robot_bridge.standing import Sight
 from schemas.messages import ChallengeEcho, ExecutionKind, FrameStamp
 from tests.agents.robot_bridge.drive import (
     BEAT_TICKS,

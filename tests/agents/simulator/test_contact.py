@@ -17,9 +17,9 @@ from agents.simulator.contact.world import ContactWorld, Pose, Touch
 from agents.simulator.field import Field, field_with
 from schemas.codec import encode
 from schemas.messages import Verdict
+from shared.rendering.centreline import Thread
+from shared.rendering.surface import Surface, flat_surface
 from shared.rigid_transforms import transform
-from shared.scene.centreline import Thread
-from shared.scene.surface import Surface, flat_surface
 from shared.splines import clamped_uniform_knots
 from tests.agents.simulator.test_agent import Run, direct, raised, tool_at
 

@@ -16,9 +16,9 @@ from agents.simulator.field import (
     settled,
 )
 from schemas.messages import RectifiedStereo
-from shared.scene.centreline import Thread
-from shared.scene.surface import depth_at_points, flat_surface
-from shared.scene.thread_shapes import CONFIGS
+from shared.rendering.centreline import Thread
+from shared.rendering.surface import depth_at_points, flat_surface
+from shared.rendering.thread_shapes import CONFIGS
 from shared.splines import clamped_uniform_knots, evaluate
 
 CAMERA_MM = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)

@@ -21,8 +21,8 @@ from agents.tool_tracker.evidence import SHRINK, learnt
 from agents.tool_tracker.outline import outline, silhouette
 from agents.tool_tracker.refinement import View, elsewhere, refined
 from agents.tool_tracker.search import Begin, acquired, lined, looking, prior, soft_pair
-from agents.tool_tracker.told import track_of
 from agents.tool_tracker.track import MISSES, Following, followed
+from agents.tool_tracker.track_message import track_of
 from agents.tool_tracker.tubes import SHAFT, placed_at, tubes
 from schemas.codec import decode
 from schemas.messages import (
@@ -47,11 +47,11 @@ from shared.calibration.identity import calibration_id
 from shared.images import encode_image
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
+from shared.rendering.tool_view import Instrument, draw_solids, solids_of
 from shared.rigid_transforms import apply, exp_se3, exp_so3, inverse, transform
 from shared.runtime.agent import Agent, Input, Output, Received, Tick
 from shared.runtime.commands import new_header
 from shared.runtime.replay import Lockstep, replay
-from shared.scene.tool_view import Instrument, draw_solids, solids_of
 from tests.rigs.drawn_tool import BEHIND, CAMERA, IN_MM, JAW, joints, pair, pair_of
 from tests.rigs.drawn_tool import TOOL as DRAWN
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pycdr2 import IdlStruct
 
-from agents.emulator.messages import Header
+from agents.dvrk_emulator.messages import Header
 
 if TYPE_CHECKING:
     # what pycdr2 writes as such is these to Python

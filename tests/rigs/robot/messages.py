@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from agents.emulator import messages as written
+from agents.dvrk_emulator import messages as written
 from shared.clock import processor_s
 from shared.ros import types
 from tests.rigs.robot import image_messages as images

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from agents.configuration.sections import DvrkSection
-from agents.emulator.arm import start_of
-from agents.emulator.console import Behaviour, EmulatedConsole
-from agents.emulator.oracle import Field, Oracle
-from agents.emulator.wire import Outlet
+from agents.dvrk_emulator.arm import start_of
+from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
+from agents.dvrk_emulator.oracle import Field, Oracle
+from agents.dvrk_emulator.wire import Outlet
 from agents.guard import cdr
 from agents.guard.description import Description
 from agents.guard.monitor import SETTLES_NS, Action, Kind, Monitor

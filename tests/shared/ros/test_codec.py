@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.emulator import messages as others
+from agents.dvrk_emulator import messages as others
 from shared.rigid_transforms import rotation_from_quaternion
 from shared.ros import crtk, types
 from shared.ros.naming import RmwZenoh, Role, Ros2dds

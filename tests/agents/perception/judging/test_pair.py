@@ -17,8 +17,8 @@ from agents.perception.judging.picture import INTERLACING
 from agents.perception.judging.whole import judge_whole
 from schemas.messages import RectifiedStereo, RightEye, Severity
 from shared.disparities import disparities
+from shared.rendering.__main__ import ENDOSCOPE
 from shared.right_eye import from_in_line, moved
-from shared.scene.__main__ import ENDOSCOPE
 
 HEIGHT, WIDTH = 270, 480
 CAMERA = RectifiedStereo(WIDTH, HEIGHT, 500.0, 500.0, 239.5, 134.5, 5.5, 1e-3)

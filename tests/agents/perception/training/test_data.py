@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.perception.both_eyes.shown import LEFT, RIGHT, together
+from agents.perception.both_eyes.network_inputs import LEFT, RIGHT, together
 from agents.perception.centrelines.learned import learned_middles
 from agents.perception.training.lab_ground import SEALED
 from agents.perception.training.lab_instruments import load_meshes

@@ -10,7 +10,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from agents.perception.both_eyes.apart import apart_px  # noqa: E402
-from agents.perception.both_eyes.shown import Eye, together  # noqa: E402
+from agents.perception.both_eyes.network_inputs import Eye, together  # noqa: E402
 from agents.perception.centrelines.along import Pieces  # noqa: E402
 from agents.perception.centrelines.learned import reach_px  # noqa: E402
 from agents.perception.segmentation.classes import phases, scores_of  # noqa: E402

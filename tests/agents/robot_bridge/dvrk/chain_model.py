@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from agents.camera.agent import CameraConfig, FrameSender
-from agents.emulator.arm import start_of
-from agents.emulator.console import Behaviour, EmulatedConsole
-from agents.emulator.oracle import Field, Oracle
+from agents.dvrk_emulator.arm import start_of
+from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
+from agents.dvrk_emulator.oracle import Field, Oracle
 from agents.guard import cdr
+from agents.operator.arming import StandingBy
 from agents.operator.control import BeatNow, Control, HoldNow
-from agents.operator.standing_by import StandingBy
 from agents.operator.words import Voice
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.dvrk.psm import DvrkPsm
@@ -274,7 +274,7 @@ class Desk:
         for page in self.pages.values():
             self.network.carry(f"to {page.name}", lambda page=page: setattr(page, "drawn", stamp))
 
-    # the way of its commands (agents/operator/standing_by.py)
+    # the way of its commands (agents/operator/arming.py)
 
     def beat(self, effect: BeatNow) -> None:
         """One heartbeat, of a person who presses, to bridge and guard."""

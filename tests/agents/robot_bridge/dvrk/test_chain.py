@@ -24,8 +24,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from agents.guard.monitor import Action, Monitor
 from agents.robot_bridge.agent import RobotBridge
+from agents.robot_bridge.arm_status import Sight
 from agents.robot_bridge.dvrk.psm import DvrkPsm
-from agents.robot_bridge.standing import Sight
 from shared.ros.guarded import SetPoint
 from shared.runtime import clocks
 from tests.agents.robot_bridge.dvrk import chain_model

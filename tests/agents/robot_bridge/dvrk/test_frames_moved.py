@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.emulator.messages import Joy, header
+from agents.dvrk_emulator.messages import Joy, header
 from agents.robot_bridge.dvrk.frames_moved import LOCAL, MEASURED, SETTLED_NS, TIP, FramesWatch
 from schemas.messages import ExecutionKind
 from shared.calibration.hand_eye.file import FLIP, HandEye, Reference

@@ -13,10 +13,10 @@ import zenoh
 
 from agents.cli.recordings.recompute import with_simulated_arms
 from agents.configuration.rig import RigConfig
-from agents.emulator.console import Behaviour, EmulatedConsole
-from agents.emulator.messages import OperatingState, header
-from agents.emulator.oracle import Field, Oracle
-from agents.emulator.wire import BridgeWire, RmwWire
+from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
+from agents.dvrk_emulator.messages import OperatingState, header
+from agents.dvrk_emulator.oracle import Field, Oracle
+from agents.dvrk_emulator.wire import BridgeWire, RmwWire
 from agents.launch.builders import build
 from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.backend import Readiness

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.emulator.messages import JointState, OperatingState, header
+from agents.dvrk_emulator.messages import JointState, OperatingState, header
 from agents.robot_bridge.backend import Readiness
 from agents.robot_bridge.dvrk.readings import CLOCK_SET_NS, POSE_AGE_NS, SAME_TIME_NS, Readings
 from schemas.messages import StateWord
