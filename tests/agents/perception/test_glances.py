@@ -8,7 +8,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.agents.perception.test_instances import observed, told
 
 from agents.camera.scene_source import calibration_of
 from agents.perception.background_search import FRAMES_BETWEEN_LOOKS_WATCHED
@@ -20,6 +19,7 @@ from schemas.topics import SURFACE
 from shared.images import decode_image
 from shared.rendering.__main__ import ENDOSCOPE
 from tests.agents.perception.pictures import agent_with, fed, frame_of, noisy, rendered_pair
+from tests.agents.perception.test_instances import observed, told
 
 EVERY, EIGHT_SECONDS = 3, 240
 """Of the frames of a camera of 30 Hz these are seen, as by a slow machine."""
