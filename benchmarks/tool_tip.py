@@ -86,7 +86,7 @@ def case(seed: int) -> Case:
     """The case of a seed."""
     rng = np.random.default_rng([seed, 77])
     T_true = SIMULATED_BASES["psm1"]
-    waypoints = np.stack([_in_view(rng, T_true) for _ in range(WAYPOINTS)])
+    waypoints = np.stack([joints_in_view(rng, T_true) for _ in range(WAYPOINTS)])
     tip = apply(T_true @ PSM.forward(waypoints[0]), TIP)[0]
     twist = np.concatenate([size * _unit(rng) for size in (OFF_M, OFF_RAD)])
     tool = Instrument(
@@ -119,7 +119,7 @@ def case(seed: int) -> Case:
 def pair_at(one: Case, at_s: float) -> tuple[Images, Float64[np.ndarray, "4 4"], Float64[np.ndarray, "3"]]:
     """Both images, `T_base_tool` as the joints tell it, and where the tip is before the camera, metres."""
     solids = solids_of(one.T_true, PSM.forward(one.true_joints_at(at_s)), one.jaw_at(at_s), one.tool)
-    backdrop = _backdrop(*one.background)
+    backdrop = backdrop_of(*one.background)
     images = []
     for k, (behind, eye_x) in enumerate(((backdrop.left_bgr, 0.0), (backdrop.right_bgr, IN_MM.baseline))):
         image = behind
@@ -133,7 +133,7 @@ def pair_at(one: Case, at_s: float) -> tuple[Images, Float64[np.ndarray, "4 4"],
     return (images[0], images[1]), PSM.forward(one.joints_at(at_s)), tip
 
 
-def _in_view(rng: np.random.Generator, T_camera_base: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "6"]:
+def joints_in_view(rng: np.random.Generator, T_camera_base: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "6"]:
     """Joints with the tip in view, and a part of the fingers not behind the shaft."""
     lower, upper = (-0.09, -0.06, 0.15, -1.2, -0.8, -0.8), (0.1, 0.06, 0.185, 1.2, 0.8, 0.8)
     while True:
@@ -173,7 +173,7 @@ def _other(rng: np.random.Generator) -> tuple[Solid, ...]:
 
 
 @lru_cache(maxsize=8)
-def _backdrop(kind: str, seed: int) -> Backdrop:
+def backdrop_of(kind: str, seed: int) -> Backdrop:
     return render_backdrop(IN_MM, kind, 95.0 + 3.0 * seed, seed)
 
 

@@ -10,13 +10,14 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import schemas
 from agents.recorder.foxglove import FoxgloveCopies
 from schemas.checks import MessageError, fields_of
-from schemas.codec import decode
-from schemas.messages import AgentHealth, CommandRecord, GraspGoal, GraspPlan, StereoCalibration
+from schemas.codec import decode, encode
+from schemas.messages import AgentHealth, CommandRecord, GraspGoal, GraspPlan, RobotState, StereoCalibration
 from schemas.topics import (
     CALIBRATION,
     COMMANDS,
@@ -125,12 +126,14 @@ class CutReport:
         unused: frames that were left out because nothing was made of them.
         source: what the recording that it was cut out of says of itself.
         damage: what broke off the reading of it; empty where all was read.
+        moved: the arms whose states were moved in time.
     """
 
     kept: int
     unused: int
     source: Completeness
     damage: str
+    moved: Set[str] = frozenset()
 
 
 class _Place(NamedTuple):
@@ -139,7 +142,14 @@ class _Place(NamedTuple):
     sequence: int
 
 
-def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: bool = False) -> CutReport:
+def cut(
+    source: Path,
+    target: Path,
+    from_ns: int,
+    to_ns: int,
+    only_used_frames: bool = False,
+    delays_ms: Mapping[str, float] = MappingProxyType({}),
+) -> CutReport:
     """Write what was received from one moment to another, both included, with what agents there went on from.
 
     That is the states that held when it began, what the outputs within it were made from, and the plans that arms
@@ -147,6 +157,7 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
 
     Args:
         only_used_frames: of the camera's frames keep those that something in the stretch was made of.
+        delays_ms: by arm, how much later its states are said to have been measured.
 
     Raises:
         RecordingError, OSError: as `read_recording`, or where the target cannot be written.
@@ -156,7 +167,7 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
     consumed = _consumed(source, from_ns, to_ns)
     used = consumed if only_used_frames else None
     stretch = _Stretch(from_ns, to_ns, consumed)
-    kept = unused = 0
+    kept, unused, moved = 0, 0, set[str]()
     attached: dict[str, bytes] = {}
     try:
         begun = derived_from(source, said, "cut", left_out={} if used is None else {UNUSED_FRAMES: 0})
@@ -168,17 +179,32 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
             if used is not None and topic is FRAMES and _place(entry) not in used:
                 unused += 1
                 continue
-            file.write(topic, entry)
+            arm = entry.key.split("/")[3] if topic is ROBOT_STATE else ""
+            if arm in delays_ms:
+                moved.add(arm)
+                file.write(topic, _moved(entry, delays_ms[arm]))
+            else:
+                file.write(topic, entry)
             # what is repeated from before the stretch is no message of it
             kept += not entry.repeated
         left_out = {BEFORE_AND_AFTER: stretch.outside, UNKNOWN_TOPICS: stretch.unknown, UNUSED_FRAMES: unused}
-        told = replace(begun, how=stretch.sentence, left_out={what: n for what, n in left_out.items() if n})
+        later = "".join(f", states of {arm} moved by {delays_ms[arm]:+g} ms" for arm in sorted(moved))
+        told = replace(begun, how=stretch.sentence + later, left_out={what: n for what, n in left_out.items() if n})
         if stretch.damage:
             told = replace(told, source_said=stretch.damage)
         file.close(told, False if stretch.damage else said.complete, stretch.lost)
     finally:
         file.abandon()
-    return CutReport(kept, unused, said, stretch.damage)
+    return CutReport(kept, unused, said, stretch.damage, moved)
+
+
+def _moved(entry: Entry, delay_ms: float) -> Entry:
+    """A state that is said to have been measured so much later; as it is where it cannot be read."""
+    try:
+        state = decode(RobotState, entry.payload)
+    except MessageError:
+        return entry
+    return replace(entry, payload=encode(replace(state, measured_ns=state.measured_ns + round(1e6 * delay_ms))))
 
 
 class _Stretch:

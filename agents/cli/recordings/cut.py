@@ -10,11 +10,22 @@ from shared.recording.entry import Entry, RecordingError
 from shared.recording.mcap_file import UntilDamage
 from shared.terminal import complain, say, warn
 
+LARGEST_DELAY_MS = 60_000.0
+
 
 def run(options: Cut) -> int:
     """Cut, and say what the new file holds; the exit status."""
     if options.output.exists():
         return complain(f"{options.output} exists already; give another name", EXIT_UNUSABLE)
+    delays_ms: dict[str, float] = {}
+    for written in options.delay:
+        arm, _, ms = written.partition("=")
+        try:
+            delays_ms[arm] = float(ms)
+        except ValueError:
+            return complain(f"--delay {written!r} is no arm with milliseconds, such as psm1=120", EXIT_UNUSABLE)
+        if not abs(delays_ms[arm]) <= LARGEST_DELAY_MS:
+            return complain(f"--delay {written} is beyond {LARGEST_DELAY_MS:.0f} ms", EXIT_UNUSABLE)
     try:
         # what is repeated from before the file began is older than its first moment
         records = UntilDamage(options.recording)
@@ -23,11 +34,13 @@ def run(options: Cut) -> int:
             return complain(no_message_in(options.recording, records.damage), EXIT_UNUSABLE)
         stretch = window_ns(options.begin, options.end, own[0][1], own[-1][1], own[0][0])
         with whole_file(options.output) as unfinished:
-            report = cut(options.recording, unfinished, *stretch, only_used_frames=options.used)
+            report = cut(options.recording, unfinished, *stretch, only_used_frames=options.used, delays_ms=delays_ms)
     except (RecordingError, WindowError, OutputError) as error:
         return complain(str(error), EXIT_UNUSABLE)
     except OSError as error:
         return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
+    if unknown := sorted(set(delays_ms) - report.moved):
+        warn(f"{options.recording} holds no state of {', '.join(unknown)} in that stretch, so nothing of it was moved")
     for doubt in report.source.doubts_of(report.damage):
         warn(doubt if doubt == report.damage else f"{options.recording}: {doubt}")
     unused = f", without {report.unused} frames of which nothing in it was made" if report.unused else ""

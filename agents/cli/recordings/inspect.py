@@ -1,5 +1,6 @@
 """`suturegrasp inspect`: what a recording tells, in the terminal, as JSON, and as a page."""
 
+import dataclasses
 import json
 import shutil
 import sys
@@ -14,6 +15,7 @@ from agents.inspection.page import comparison_page, session_page
 from agents.inspection.pictures import pictures_of
 from agents.inspection.session import Session, read_session
 from agents.inspection.tables import head_lines, session_tables
+from agents.inspection.time_offsets import ArmOffset, offset_table, time_offsets
 from agents.launch.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
 from shared.recording.entry import RecordingError
 from shared.terminal import complain, show, warn
@@ -23,6 +25,8 @@ def run(options: Inspect) -> int:
     """Read the recordings and tell of them."""
     if not options.recordings:
         return complain("give a recording, or two to compare them", EXIT_UNUSABLE)
+    if options.time_offset and len(options.recordings) > 1:
+        return complain("--time-offset is of one recording; give one", EXIT_UNUSABLE)
     if refusal := _page_refused(options):
         return complain(refusal, EXIT_UNUSABLE)
     try:
@@ -32,7 +36,8 @@ def run(options: Inspect) -> int:
     except OSError as error:
         return complain(f"{error.filename} cannot be read: {error.strerror or error}", EXIT_UNUSABLE)
     names = names_of(list(options.recordings))
-    for line in _told(sessions, names, options.json):
+    offsets = time_offsets(sessions[0].path) if options.time_offset else None
+    for line in _told(sessions, names, options.json, offsets):
         show(line)
     if options.html is not None:
         try:
@@ -59,14 +64,21 @@ def _page_refused(options: Inspect) -> str:
     return ""
 
 
-def _told(sessions: list[Session], names: list[str], as_json: bool) -> Iterator[str]:
+def _told(
+    sessions: list[Session], names: list[str], as_json: bool, offsets: tuple[ArmOffset, ...] | None
+) -> Iterator[str]:
     if as_json:
         told = [document(session) for session in sessions]
+        if offsets is not None:
+            told[0]["time_offsets"] = [dataclasses.asdict(one) for one in offsets]
         yield json.dumps(told[0] if len(told) == 1 else told, indent=1)
         return
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     if len(sessions) == 1:
-        yield from lines(head_lines(sessions[0]), session_tables(sessions[0]), width)
+        tables = session_tables(sessions[0])
+        if offsets is not None:
+            tables.append(offset_table(offsets))
+        yield from lines(head_lines(sessions[0]), tables, width)
         return
     heads = [
         line if line.startswith(f"{name}:") else f"{name}: {line}"

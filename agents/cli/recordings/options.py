@@ -27,6 +27,8 @@ class Inspect(OnRecording):
     """Print one JSON document instead of tables."""
     html: OptionalPath = None
     """Also write a page with charts and pictures, in one file."""
+    time_offset: bool = False
+    """Also find how much later the camera's stamps are than each arm's joints, from its tool's motion in the images."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,9 @@ class Cut(OnRecording):
     """Seconds from the start (12.5) or a time of the day (14:32:07)."""
     end: Annotated[str | None, tyro.conf.arg(name="to", metavar="MOMENT")] = None
     """The same."""
+    delay: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="ARM=MS")] = ()
+    """By how much the camera's stamps are later than an arm's, as `inspect --time-offset` tells: its states are moved.
+    May be given for each arm."""
     used: bool = False
     """Leave out frames of which perception made nothing: much smaller, and replayed in process as the whole."""
 

@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from agents.configuration.hosts import run_name
+from agents.configuration.reading_session import reading_session
 from agents.configuration.rig import RigConfig
 from agents.configuration.sections import DvrkSection
 from agents.diagnostics.doctor.finding import UNKNOWN, Finding
+from agents.diagnostics.doctor.time_offset import WHAT, finding, watching
 from agents.launch.guard_process import naming_of
 from agents.robot_bridge.dvrk.psm import MOTIONS, SERVOS
 from agents.robot_bridge.dvrk.readings import (
@@ -39,11 +41,12 @@ from shared.ros import crtk
 from shared.ros.link import Heard, RosLink
 from shared.ros.naming import GUARD_NODE
 from shared.ros.types import BOOL, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, RosMessageError
+from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.identity import IdentityError
 from shared.runtime.session import SessionSettings
 from shared.terminal import UsageError
 
-WATCH_S = 5.0
+ROUTER_WAIT_S = 1.0
 STATES = {"DISABLED", "FAULT", *LEADS_TO.values()}
 POSE, BASE_POSE, ENDOSCOPE = "measured_cp", "local/measured_cp", "ECM/local/measured_cp"
 SET_POINTS = {"setpoint_js": "servo_jp", "jaw/setpoint_js": "jaw/servo_jp"}
@@ -413,9 +416,23 @@ def examine_console(rig: RigConfig, arm: str, watch_s: float) -> Iterator[Findin
         return
     with closing(link):
         link.open()
-        threading.Event().wait(watch_s)
+        beside = _camera_beside(rig, arm, watch_s)
     if link.failed:
         yield Finding(section.arm, f"its Zenoh at {section.endpoint} is not reached", link.failed)
         return
     with lock:
         yield from judged(told)
+    yield beside
+
+
+def _camera_beside(rig: RigConfig, arm: str, watch_s: float) -> Finding:
+    """Let the time pass, and watch the rig's camera meanwhile where the rig runs."""
+    waited = threading.Event()
+    try:
+        with connected(reading_session(rig), ROUTER_WAIT_S) as connection:
+            with watching(connection, arm) as watch:
+                waited.wait(watch_s)
+            return finding(watch)
+    except (NoRouterError, IdentityError):
+        waited.wait(watch_s)
+        return Finding(WHAT, f"{UNKNOWN}: the rig's router does not answer; start the rig, and move the arm meanwhile")

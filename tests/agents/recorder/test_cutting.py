@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from agents.cli.main import main
 from agents.inspection.session import read_session
 from agents.recorder.cutting import cut
-from schemas.codec import encode
-from schemas.messages import Consumed
-from schemas.topics import CALIBRATION, FRAMES, THREAD, key
+from schemas.codec import decode, encode
+from schemas.messages import Consumed, RobotState
+from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, THREAD, key
 from shared.recording.completeness import completeness
 from shared.recording.entry import Entry
 from shared.recording.losses import COMPLETE, LOSSES, LOST
 from shared.recording.mcap_file import read_attachments, read_notes, read_recording
 from shared.recording.writer import RecordingWriter
-from tests.agents.inspection.conftest import Maker, calibration, frame, made, ns, thread
+from tests.agents.inspection.conftest import Maker, calibration, frame, made, ns, robot_state, thread
 
 COUNT, EVERY = 20, 3
 FRAMES_KEY = key("lab", FRAMES)
@@ -161,3 +161,27 @@ def test_a_stretch_within_a_motion_holds_the_plan_of_it_and_its_goal(tmp_path):
     (grasp,) = read_session(target).grasps
     assert grasp.plan is not None and grasp.goal is not None
     assert (grasp.plan.plan_id, grasp.goal.header.id, grasp.plan_before) == ("plan-g2", "g2", True)
+
+
+def test_states_of_an_arm_are_moved_by_what_the_camera_is_late_and_the_file_says_so(session, tmp_path, capsys):
+    maker = Maker()
+    for n in range(COUNT):
+        maker.put(FRAMES, frame(n, n / 10), n / 10)
+        maker.put(ROBOT_STATE, robot_state(n / 10), n / 10, "psm1")
+    source, target = maker.write(tmp_path / "late.mcap"), tmp_path / "moved.mcap"
+    with pytest.raises(SystemExit, match="0"):
+        main(["cut", str(source), "--output", str(target), "--delay", "psm1=120", "--delay", "psm2=5"])
+    assert "holds no state of psm2" in capsys.readouterr().err
+    times = [
+        [
+            decode(RobotState, e.payload).measured_ns
+            for e in read_recording(path)
+            if e.key == key("lab", ROBOT_STATE, "psm1")
+        ]
+        for path in (source, target)
+    ]
+    assert times[1] == [at_ns + 120_000_000 for at_ns in times[0]]
+    assert completeness(target).derived[-1].how.endswith("states of psm1 moved by +120 ms")
+    with pytest.raises(SystemExit, match="2"):
+        main(["cut", str(session), "--output", str(tmp_path / "no.mcap"), "--delay", "psm1"])
+    assert "'psm1' is no arm with milliseconds" in capsys.readouterr().err

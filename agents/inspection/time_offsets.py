@@ -1,0 +1,106 @@
+"""By how much a recording's camera is later than the joints of each of its arms, where the arms move the most."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+
+from agents.inspection.table import Table
+from schemas.checks import MessageError
+from schemas.codec import decode
+from schemas.messages import RobotState, StereoFrame
+from schemas.topics import FRAMES, ROBOT_STATE, Topic, is_known, topic_of
+from shared.calibration.time_offset import TimeOffset, ToolMotion, time_offset, windows_of
+from shared.images import ImageDataError, decode_image
+from shared.recording.entry import Entry
+from shared.recording.mcap_file import UntilDamage
+
+Message = TypeVar("Message")
+STRETCH_S = 60
+"""So much of a recording is looked at: a second of video takes a tenth of a second."""
+
+
+@dataclass(frozen=True)
+class ArmOffset:
+    """One arm's; None where too little moves to tell."""
+
+    arm: str
+    offset: TimeOffset | None
+
+    @property
+    def sentence(self) -> str:
+        """How late the camera is, and how sure that is."""
+        if self.offset is None:
+            return "too little motion to tell"
+        low, high = (1e3 * value for value in self.offset.interval_s)
+        return f"{1e3 * self.offset.delay_s:+.0f} ms, 95 % within {low:+.0f} and {high:+.0f} ms"
+
+
+def time_offsets(path: Path) -> tuple[ArmOffset, ...]:
+    """Each arm's of a recording.
+
+    Raises:
+        RecordingError, OSError: as `read_recording`.
+    """
+    states: dict[str, dict[int, RobotState]] = {}
+    for state in _messages(path, ROBOT_STATE, RobotState):
+        states.setdefault(state.arm, {})[state.measured_ns] = state
+    motions = {arm: _motion(of_arm) for arm, of_arm in sorted(states.items()) if len(of_arm) > 1}
+    if not motions:
+        return ()
+    begin_s = _most_motion(list(motions.values()))
+    windows = list(windows_of(_images(path, begin_s, begin_s + STRETCH_S)))
+    return tuple(ArmOffset(arm, time_offset(windows, motion)) for arm, motion in motions.items())
+
+
+def offset_table(offsets: tuple[ArmOffset, ...]) -> Table:
+    """A row for each arm."""
+    rows = tuple((one.arm, one.sentence) for one in offsets)
+    return Table("the camera's stamps are later than the joints' by", ("arm", "by"), rows)
+
+
+def _messages(path: Path, topic: Topic, kind: type[Message]) -> Iterator[Message]:
+    for entry in UntilDamage(path):
+        if isinstance(entry, Entry) and is_known(entry.key) and topic_of(entry.key) is topic:
+            try:
+                yield decode(kind, entry.payload)
+            except MessageError:
+                continue
+
+
+def _motion(states: dict[int, RobotState]) -> ToolMotion:
+    ordered = [states[at_ns] for at_ns in sorted(states)]
+    return ToolMotion(
+        np.array([state.measured_ns * 1e-9 for state in ordered]),
+        np.array([state.T_base_tool for state in ordered]),
+        np.array([state.jaw_rad for state in ordered]),
+    )
+
+
+def _most_motion(motions: list[ToolMotion]) -> float:
+    """Where the STRETCH_S begin in which tools go the farthest."""
+    begin_s, end_s = min(m.time_s[0] for m in motions), max(m.time_s[-1] for m in motions)
+    way_m = np.zeros(int(end_s - begin_s) + 1)
+    for motion in motions:
+        steps = np.linalg.norm(np.diff(motion.T_base_tool[:, :3, 3], axis=0), axis=1)
+        way_m += np.bincount((motion.time_s[1:] - begin_s).astype(int), steps, len(way_m))
+    so_far = np.concatenate((np.zeros(1), np.cumsum(way_m)))
+    last = max(0, len(way_m) - STRETCH_S)
+    first = np.arange(last + 1)
+    return float(begin_s + np.argmax(so_far[np.minimum(first + STRETCH_S, len(way_m))] - so_far[first]))
+
+
+def _images(path: Path, begin_s: float, end_s: float) -> Iterator[tuple[float, UInt8[np.ndarray, "h w *c"]]]:
+    before_s = -np.inf
+    for frame in _messages(path, FRAMES, StereoFrame):
+        at_s = frame.stamp.capture_left_ns * 1e-9
+        if not begin_s <= at_s <= end_s or at_s <= before_s:
+            continue
+        try:
+            yield at_s, decode_image(frame.left)
+        except ImageDataError:
+            continue
+        before_s = at_s
