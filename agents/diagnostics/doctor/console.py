@@ -10,6 +10,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -377,6 +378,17 @@ def judged(told: Told) -> Iterator[Finding]:
         yield Finding(f"{arm}: {duty.what}", *duty.judge(told))
 
 
+def listening(told: Told) -> tuple[Heard, ...]:
+    """What is heard of a console, for a link."""
+
+    def heard(topic: str) -> Heard:
+        name = topic if topic in OF_CONSOLE else f"{told.section.arm}/{topic}"
+        take = partial(told.hear, topic)
+        return Heard(name, SAID[topic][0], take, latched=topic in LATCHED)
+
+    return tuple(heard(topic) for topic in SAID)
+
+
 def examine_console(rig: RigConfig, arm: str, watch_s: float) -> Iterator[Finding]:
     """Listen to an arm's console for so long, and judge it.
 
@@ -387,30 +399,16 @@ def examine_console(rig: RigConfig, arm: str, watch_s: float) -> Iterator[Findin
     if section is None:
         have = ", ".join(name for name, one in rig.robot.items() if one.dvrk is not None) or "none"
         raise UsageError(f"the rig's file has no dVRK arm {arm!r}; it has {have}")
-    told, lock = Told(section), threading.Lock()
+    told = Told(section)
 
     def owner(token: str, comes: bool) -> None:
         if f"/{GUARD_NODE}/" not in token:
-            with lock:
-                (told.owners.add if comes else told.owners.discard)(token)
+            (told.owners.add if comes else told.owners.discard)(token)
 
-    def receive(topic: str) -> Callable[[bytes, int], None]:
-        def hear(data: bytes, arrived_ns: int) -> None:
-            with lock:
-                told.hear(topic, data, arrived_ns)
-
-        return hear
-
-    heard = [
-        Heard(
-            topic if topic in OF_CONSOLE else f"{section.arm}/{topic}", kind, receive(topic), latched=topic in LATCHED
-        )
-        for topic, (kind, _) in SAID.items()
-    ]
     try:
         reached = SessionSettings(rig.rig, section.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
         watched = tuple(f"{section.arm}/{topic}" for topic in MOTIONS)
-        link = RosLink(reached, naming_of(section), tuple(heard), watched=watched, owner_changed=owner)
+        link = RosLink(reached, naming_of(section), listening(told), watched=watched, owner_changed=owner)
     except IdentityError as error:
         yield Finding(section.arm, f"its Zenoh at {section.endpoint} is not reached", str(error))
         return
@@ -420,8 +418,7 @@ def examine_console(rig: RigConfig, arm: str, watch_s: float) -> Iterator[Findin
     if link.failed:
         yield Finding(section.arm, f"its Zenoh at {section.endpoint} is not reached", link.failed)
         return
-    with lock:
-        yield from judged(told)
+    yield from judged(told)
     yield beside
 
 

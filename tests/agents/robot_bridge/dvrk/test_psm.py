@@ -13,6 +13,8 @@ import zenoh
 
 from agents.cli.recordings.recompute import with_simulated_arms
 from agents.configuration.rig import RigConfig
+from agents.configuration.sections import DvrkSection
+from agents.diagnostics.doctor.console import CONFORMANCE, Told, judged, listening
 from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
 from agents.dvrk_emulator.messages import OperatingState, header
 from agents.dvrk_emulator.oracle import Field, Oracle
@@ -67,6 +69,17 @@ def test_capture_slide_and_grasp_without_an_unsafe_set_point(room):
     room.stands_by = False
     room.tick(60)
     assert room.verdict()["set_points"] == verdict["set_points"]
+
+
+def test_while_a_plan_is_carried_out_the_emulated_console_does_all_that_doctor_asks_of_one(room):
+    told = Told(DvrkSection(endpoint="tcp/127.0.0.1:7447", tool=TOOL))
+    room.topics.attend(listening(told), lambda _token, _comes: None)
+    room.starts_moving()
+    room.until(lambda: not room.moves)
+    assert {one.what: one.state for one in judged(told)} == {
+        "PSM1": "ok",
+        **{f"PSM1: {duty.what}": "ok" for duty in CONFORMANCE},
+    }
 
 
 # who else commands the arm
