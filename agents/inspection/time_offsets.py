@@ -13,7 +13,7 @@ from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RobotState, StereoFrame
 from schemas.topics import FRAMES, ROBOT_STATE, Topic, is_known, topic_of
-from shared.calibration.time_offset import TimeOffset, ToolMotion, time_offset, windows_of
+from shared.calibration.time_offset import TOO_LITTLE, TimeOffset, ToolMotion, time_offset, windows_of
 from shared.images import ImageDataError, decode_image
 from shared.recording.entry import Entry
 from shared.recording.mcap_file import UntilDamage
@@ -34,7 +34,7 @@ class ArmOffset:
     def sentence(self) -> str:
         """How late the camera is, and how sure that is."""
         if self.offset is None:
-            return "too little motion to tell"
+            return TOO_LITTLE
         low, high = (1e3 * value for value in self.offset.interval_s)
         return f"{1e3 * self.offset.delay_s:+.0f} ms, 95 % within {low:+.0f} and {high:+.0f} ms"
 
@@ -58,7 +58,7 @@ def time_offsets(path: Path) -> tuple[ArmOffset, ...]:
 
 def offset_table(offsets: tuple[ArmOffset, ...]) -> Table:
     """A row for each arm."""
-    rows = tuple((one.arm, one.sentence) for one in offsets)
+    rows = tuple((one.arm, one.sentence) for one in offsets) or (("none", "the recording holds no states of an arm"),)
     return Table("the camera's stamps are later than the joints' by", ("arm", "by"), rows)
 
 
@@ -81,16 +81,17 @@ def _motion(states: dict[int, RobotState]) -> ToolMotion:
 
 
 def _most_motion(motions: list[ToolMotion]) -> float:
-    """Where the STRETCH_S begin in which tools go the farthest."""
-    begin_s, end_s = min(m.time_s[0] for m in motions), max(m.time_s[-1] for m in motions)
-    way_m = np.zeros(int(end_s - begin_s) + 1)
-    for motion in motions:
-        steps = np.linalg.norm(np.diff(motion.T_base_tool[:, :3, 3], axis=0), axis=1)
-        way_m += np.bincount((motion.time_s[1:] - begin_s).astype(int), steps, len(way_m))
+    """Where the STRETCH_S begin in which a tool goes the farthest."""
+    return max((_farthest(motion) for motion in motions), key=lambda way: way[0])[1]
+
+
+def _farthest(motion: ToolMotion) -> tuple[float, float]:
+    """How far this tool goes at most within STRETCH_S, and where that begins."""
+    way_m = np.linalg.norm(np.diff(motion.T_base_tool[:, :3, 3], axis=0), axis=1)
     so_far = np.concatenate((np.zeros(1), np.cumsum(way_m)))
-    last = max(0, len(way_m) - STRETCH_S)
-    first = np.arange(last + 1)
-    return float(begin_s + np.argmax(so_far[np.minimum(first + STRETCH_S, len(way_m))] - so_far[first]))
+    last = np.searchsorted(motion.time_s, motion.time_s + STRETCH_S, side="right") - 1
+    begin = int((so_far[last] - so_far).argmax())
+    return float(so_far[last[begin]] - so_far[begin]), float(motion.time_s[begin])
 
 
 def _images(path: Path, begin_s: float, end_s: float) -> Iterator[tuple[float, UInt8[np.ndarray, "h w *c"]]]:

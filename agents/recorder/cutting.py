@@ -17,7 +17,7 @@ import schemas
 from agents.recorder.foxglove import FoxgloveCopies
 from schemas.checks import MessageError, fields_of
 from schemas.codec import decode, encode
-from schemas.messages import AgentHealth, CommandRecord, GraspGoal, GraspPlan, RobotState, StereoCalibration
+from schemas.messages import AgentHealth, CommandRecord, GraspGoal, GraspPlan, StereoCalibration
 from schemas.topics import (
     CALIBRATION,
     COMMANDS,
@@ -28,6 +28,7 @@ from schemas.topics import (
     PLAN,
     ROBOT_STATE,
     SIMULATOR_STATE,
+    TOOL,
     Delivery,
     Topic,
     is_known,
@@ -136,6 +137,10 @@ class CutReport:
     moved: Set[str] = frozenset()
 
 
+MEASURED = ROBOT_STATE, TOOL
+"""What tells when an arm was measured."""
+
+
 class _Place(NamedTuple):
     key: str
     epoch: int
@@ -179,17 +184,16 @@ def cut(
             if used is not None and topic is FRAMES and _place(entry) not in used:
                 unused += 1
                 continue
-            arm = entry.key.split("/")[3] if topic is ROBOT_STATE else ""
-            if arm in delays_ms:
+            arm = entry.key.split("/")[3]
+            if topic in MEASURED and arm in delays_ms and (later := _moved(topic, entry, delays_ms[arm])):
                 moved.add(arm)
-                file.write(topic, _moved(entry, delays_ms[arm]))
-            else:
-                file.write(topic, entry)
+                entry = later  # noqa: PLW2901 - the same message, measured later
+            file.write(topic, entry)
             # what is repeated from before the stretch is no message of it
             kept += not entry.repeated
         left_out = {BEFORE_AND_AFTER: stretch.outside, UNKNOWN_TOPICS: stretch.unknown, UNUSED_FRAMES: unused}
-        later = "".join(f", states of {arm} moved by {delays_ms[arm]:+g} ms" for arm in sorted(moved))
-        told = replace(begun, how=stretch.sentence + later, left_out={what: n for what, n in left_out.items() if n})
+        aligned = "".join(f", states of {arm} moved by {delays_ms[arm]:+g} ms" for arm in sorted(moved))
+        told = replace(begun, how=stretch.sentence + aligned, left_out={what: n for what, n in left_out.items() if n})
         if stretch.damage:
             told = replace(told, source_said=stretch.damage)
         file.close(told, False if stretch.damage else said.complete, stretch.lost)
@@ -198,12 +202,12 @@ def cut(
     return CutReport(kept, unused, said, stretch.damage, moved)
 
 
-def _moved(entry: Entry, delay_ms: float) -> Entry:
-    """A state that is said to have been measured so much later; as it is where it cannot be read."""
+def _moved(topic: Topic, entry: Entry, delay_ms: float) -> Entry | None:
+    """What is said to have been measured so much later; None where it cannot be read."""
     try:
-        state = decode(RobotState, entry.payload)
+        state = decode(topic.message, entry.payload)
     except MessageError:
-        return entry
+        return None
     return replace(entry, payload=encode(replace(state, measured_ns=state.measured_ns + round(1e6 * delay_ms))))
 
 

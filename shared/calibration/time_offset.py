@@ -4,41 +4,50 @@ Each window of WINDOW_S is looked at by itself. In its middle frame points are f
 Tomasi 1994), and tracked to both ends of the window, there and back (Lucas and Kanade 1981). While a tool moves by some
 centimetres, where a point of it is seen is about linear in the tool's pose, whatever camera and registration are:
 
-    x_i(t) = c_i + C_i f(t - δ) + noise,        f = (place, two axes, jaw).
+    x_i(t) = c_i + C_i f(t - δ) + r_i(t),        f = (place, two axes, jaw).
 
-For each δ of a grid the C_i follow by least squares, in the main directions that f takes within the window, and what is
-left of the points' motion says how well δ fits:
+For each δ of a grid the C_i follow by least squares, in the two main directions that f takes within the window. What is
+left is not white, for perspective bends what is taken for linear: r_i(t) = ρ_i r_i(t - 1) + e_i(t). So it is the
+variance of e that says how well δ fits,
 
-    L(δ) = -Σ_windows mean_i n log(RSS_i(δ) / TSS_i).
+    L(δ) = -Σ_windows mean_i n log((1 - ρ_i²) (var r_i + σ²)).
 
 A pose of a moment later is no linear function of the pose of now, so L has a sharp maximum. Windows drawn anew with
-replacement (the bootstrap of Efron, 1979) say how sure it is: other tools, tissue and light are in it as they come.
+replacement, neighbours together (the block bootstrap), say how sure it is: other tools and tissue are in it too. Frames
+of a window, and states of an arm, are taken to come evenly where about as much time lies between all of them: what
+their stamps jitter by is not the motion's.
 """
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64, Int64, UInt8
+from scipy.ndimage import median_filter, uniform_filter1d
 
 WIDTH_PX = 480
 """Images are looked at in this width."""
 WINDOW_S, HOP_S, LEAST_FRAMES = 1.5, 0.75, 20
 MOST_POINTS, MOVED_GREY, MOVED_FRAMES = 100, 12, 6
 """Points are looked for where grey has changed by so much over so many frames."""
-THERE_AND_BACK_PX, LEAST_WAY_PX, NOISE_PX = 0.5, 5.0, 0.15
+THERE_AND_BACK_PX, LEAST_WAY_PX, NOISE_PX = 0.5, 5.0, 0.03
 AXIS_M, JAW_M = 0.01, 0.01
 """An axis that turns by a radian, and a jaw that opens by one, count as so many metres of the tool's way."""
-LEAST_WAY_M, MOST_DIRECTIONS = 3e-4, 3
-"""Directions of f count that it takes by as much (standard deviation) within a window."""
+DIRECTIONS, LEAST_WAY_M = 2, 1e-3
+"""Windows tell something where f moves by as much (standard deviation)."""
+EVEN, BESIDE, EVEN_STATES = 3.0, 9, 51
+"""Stamps are even where no interval is so many times the usual of so many beside it; of an arm so many go together."""
 FARTHEST_S, STEP_S, FINE_S = 4.0, 0.02, 0.002
 LEAST_WINDOWS, DRAWS = 5, 400
+BLOCK = 4
+"""Neighbouring windows share frames, and a motion lasts for several: so many are drawn together."""
 TOLD_S = 0.05
 """A 95 % interval that reaches farther to either side tells nothing: the tool hardly moved."""
+TOO_LITTLE = f"too little motion to tell, or more than {FARTHEST_S:.0f} s apart"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +64,9 @@ class Window:
         return away.transpose(1, 0, 2).reshape(len(self.time_s), -1)
 
     @cached_property
-    def total_px2(self) -> Float64[np.ndarray, "m"]:
-        """The sum of their squares, of each point."""
-        return (self.ways_px**2).reshape(len(self.time_s), -1, 2).sum(axis=(0, 2))
+    def untold(self) -> float:
+        """L of the window where nothing of the motion is explained."""
+        return _innovations(self.ways_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +97,25 @@ def windows_of(frames: Iterable[tuple[float, UInt8[np.ndarray, "h w *c"]]]) -> I
     """Windows of a video in which points move; frames come with their times, in order, and are not kept."""
     held: deque[tuple[float, UInt8[np.ndarray, "h w"]]] = deque()
     for at_s, image in frames:
-        held.append((at_s, _small(image)))
+        small = _small(image)
+        if held and (small.shape != held[-1][1].shape or at_s <= held[-1][0]):
+            held.clear()
+        held.append((at_s, small))
         if at_s - held[0][0] < WINDOW_S:
             continue
         if len(held) >= LEAST_FRAMES and (places := _tracked([image for _, image in held])) is not None:
-            yield Window(np.array([at for at, _ in held]), places)
+            yield Window(_even(np.array([at for at, _ in held])), places)
         while held and held[0][0] < at_s - (WINDOW_S - HOP_S):
             held.popleft()
 
 
 def time_offset(windows: list[Window], motion: ToolMotion) -> TimeOffset | None:
     """The offset of a camera to an arm; None where too little moves to tell."""
-    pose = motion.pose
+    motion, pose = replace(motion, time_s=_evenly(motion.time_s)), motion.pose
     grid = np.arange(-FARTHEST_S, FARTHEST_S + STEP_S / 2, STEP_S)
     coarse = np.array([_fits(windows, motion.time_s, pose, delay) for delay in grid])
-    moving = coarse.max(axis=0) > 0 if len(windows) else np.zeros(0, bool)
+    best_s = float(grid[coarse.sum(axis=1).argmax()])
+    moving = np.array([_moves(one, motion.time_s, pose, best_s) for one in windows], bool)
     if moving.sum() < LEAST_WINDOWS:
         return None
     coarse, windows = coarse[:, moving], [one for one, moves in zip(windows, moving, strict=True) if moves]
@@ -110,14 +123,20 @@ def time_offset(windows: list[Window], motion: ToolMotion) -> TimeOffset | None:
     near = best_s + np.arange(-2 * STEP_S, 2 * STEP_S + FINE_S / 2, FINE_S)
     fine = np.array([_fits(windows, motion.time_s, pose, delay) for delay in near])
     delay_s = float(near[fine.sum(axis=1).argmax()])
-    drawn = np.random.default_rng(0).integers(0, len(windows), (DRAWS, len(windows)))
+    drawn = _drawn(len(windows))
     elsewhere = grid[coarse[:, drawn].sum(axis=2).argmax(axis=0)]
     here = near[fine[:, drawn].sum(axis=2).argmax(axis=0)]
     of_draws = np.where(np.abs(elsewhere - best_s) > 2 * STEP_S, elsewhere, here)
-    low_s, high_s = (float(value) for value in np.percentile(of_draws, (2.5, 97.5)))
+    low_s, high_s = (float(value) for value in np.percentile(of_draws, (2.5, 97.5)) + np.array((-FINE_S, FINE_S)))
     if max(delay_s - low_s, high_s - delay_s) > TOLD_S:
         return None
     return TimeOffset(delay_s, (low_s, high_s), len(windows))
+
+
+def _drawn(count: int) -> Int64[np.ndarray, "d w"]:
+    """Windows drawn in blocks of neighbours, as many as there are (Künsch, 1989)."""
+    begun = np.random.default_rng(0).integers(0, count, (DRAWS, -(-count // BLOCK)))
+    return ((begun[..., None] + np.arange(BLOCK)) % count).reshape(DRAWS, -1)[:, :count]
 
 
 def _small(image: UInt8[np.ndarray, "h w *c"]) -> UInt8[np.ndarray, "h w"]:
@@ -158,12 +177,63 @@ def _fits(
 
 
 def _fit(window: Window, time_s: Float64[np.ndarray, "k"], pose: Float64[np.ndarray, "k f"], delay_s: float) -> float:
+    f = _pose_in(window, time_s, pose, delay_s)
+    if f is None:
+        return 0.0
+    taken = np.linalg.svd(f, full_matrices=False)[0][:, :DIRECTIONS]
+    return _innovations(window.ways_px - taken @ (taken.T @ window.ways_px)) - window.untold
+
+
+def _pose_in(
+    window: Window, time_s: Float64[np.ndarray, "k"], pose: Float64[np.ndarray, "k f"], delay_s: float
+) -> Float64[np.ndarray, "n f"] | None:
+    """f in the window's frames, away from its mean; None where the arm was not measured then."""
     at_s = window.time_s - delay_s
     if at_s[0] < time_s[0] or at_s[-1] > time_s[-1]:
-        return 0.0
+        return None
     f = np.column_stack([np.interp(at_s, time_s, column) for column in pose.T])
-    directions, size, _ = np.linalg.svd(f - f.mean(axis=0), full_matrices=False)
-    taken = directions[:, : min(MOST_DIRECTIONS, int((size > LEAST_WAY_M * np.sqrt(len(f))).sum()))]
-    explained = ((taken.T @ window.ways_px) ** 2).reshape(-1, len(window.places_px), 2).sum(axis=(0, 2))
-    total, noise = window.total_px2, 2 * len(f) * NOISE_PX**2
-    return -len(f) * float(np.log((total - explained + noise) / (total + noise)).mean())
+    return f - f.mean(axis=0)
+
+
+def _moves(window: Window, time_s: Float64[np.ndarray, "k"], pose: Float64[np.ndarray, "k f"], delay_s: float) -> bool:
+    f = _pose_in(window, time_s, pose, delay_s)
+    return f is not None and float(np.sqrt((f**2).sum(axis=1).mean())) > LEAST_WAY_M
+
+
+def _innovations(left_px: Float64[np.ndarray, "n mc"]) -> float:
+    """L of what is left of the points' ways."""
+    n = len(left_px)
+    square = (left_px**2).reshape(n, -1, 2).sum(axis=(0, 2))
+    beside = (left_px[1:] * left_px[:-1]).reshape(n - 1, -1, 2).sum(axis=(0, 2))
+    noisy = square + 2 * n * NOISE_PX**2
+    rho = np.clip(beside / noisy, 0.0, None)
+    return -n * float(np.log(noisy * (1 - rho**2)).mean())
+
+
+def _even(time_s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
+    """Stamps on the straight line through them, where they are even."""
+    steps = np.diff(time_s)
+    if steps.max() > EVEN * np.median(steps):
+        return time_s
+    number = np.arange(len(time_s))
+    return np.polyval(np.polyfit(number, time_s, 1), number)
+
+
+def _evenly(time_s: Float64[np.ndarray, "k"]) -> Float64[np.ndarray, "k"]:
+    """The same of runs of even stamps, each of which may drift."""
+    steps = np.diff(time_s)
+    if not len(steps):
+        return time_s
+    # an arm that rests tells seldom: before a change of its rate and after it, another interval is usual
+    before, after = (median_filter(steps, BESIDE, mode="nearest", origin=way) for way in (BESIDE // 2, -(BESIDE // 2)))
+    return np.concatenate(
+        [_smoothed(run) for run in np.split(time_s, np.flatnonzero(steps > EVEN * np.minimum(before, after)) + 1)]
+    )
+
+
+def _smoothed(time_s: Float64[np.ndarray, "k"]) -> Float64[np.ndarray, "k"]:
+    if len(time_s) < EVEN_STATES:
+        return time_s
+    number = np.arange(len(time_s))
+    line = np.polyval(np.polyfit(number, time_s - time_s[0], 1), number) + time_s[0]
+    return line + uniform_filter1d(time_s - line, EVEN_STATES, mode="nearest")

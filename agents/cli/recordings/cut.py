@@ -20,9 +20,13 @@ def run(options: Cut) -> int:
     delays_ms: dict[str, float] = {}
     for written in options.delay:
         arm, _, ms = written.partition("=")
+        if arm in delays_ms:
+            return complain(f"--delay of {arm} is given twice", EXIT_UNUSABLE)
         try:
-            delays_ms[arm] = float(ms)
+            delays_ms[arm] = float(ms) if arm else float("nan")
         except ValueError:
+            delays_ms[arm] = float("nan")
+        if delays_ms[arm] != delays_ms[arm]:
             return complain(f"--delay {written!r} is no arm with milliseconds, such as psm1=120", EXIT_UNUSABLE)
         if not abs(delays_ms[arm]) <= LARGEST_DELAY_MS:
             return complain(f"--delay {written} is beyond {LARGEST_DELAY_MS:.0f} ms", EXIT_UNUSABLE)

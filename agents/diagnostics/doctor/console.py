@@ -5,7 +5,6 @@ Nothing is ever said to the console. What only a motion shows is judged while th
 """
 
 import threading
-from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -24,6 +23,8 @@ from agents.diagnostics.doctor.time_offset import WHAT, finding, watching
 from agents.launch.guard_process import naming_of
 from agents.robot_bridge.dvrk.psm import MOTIONS, SERVOS
 from agents.robot_bridge.dvrk.readings import (
+    CLOCK_SET_NS,
+    ERROR_NS,
     KINDS,
     LEADS_TO,
     POSE_AGE_NS,
@@ -35,6 +36,7 @@ from agents.robot_bridge.dvrk.readings import (
 )
 from agents.robot_bridge.dvrk.set_points import SAME, WINDOW_NS
 from agents.robot_bridge.measuring import MEASUREMENT_AGE_S
+from shared.clock import now_ns
 from shared.kinematics.arm import ArmKinematics
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.rigid_transforms import angle_between, inverse
@@ -48,6 +50,8 @@ from shared.runtime.session import SessionSettings
 from shared.terminal import UsageError
 
 ROUTER_WAIT_S = 1.0
+STANDS_OVER = 1e-2
+"""Beyond its limits (rad, m) an arm may stand by as much, as one that was pushed does."""
 STATES = {"DISABLED", "FAULT", *LEADS_TO.values()}
 POSE, BASE_POSE, ENDOSCOPE = "measured_cp", "local/measured_cp", "ECM/local/measured_cp"
 SET_POINTS = {"setpoint_js": "servo_jp", "jaw/setpoint_js": "jaw/servo_jp"}
@@ -62,6 +66,7 @@ SAID: dict[str, tuple[str, Callable[[bytes], Any]]] = {
 }
 """What is listened to: below the arm's name, or where that is not the arm's, by its whole name."""
 LATCHED = ("operating_state", "tool_type", "error", TELEOPERATION)
+NODE = "suturegrasp_doctor"
 OF_CONSOLE = (TELEOPERATION, ENDOSCOPE)
 FIT = "arm, tool and endpoint in the rig's file must be this console's"
 
@@ -81,12 +86,16 @@ class Told:
     Fields:
         came: by topic, in the order of arrival.
         owners: who announced that they publish motions of this arm, the guard left out.
+        ended_ns: when listening ended; 0 for with the last message.
+        broken: how often the link to it was lost meanwhile.
     """
 
     section: DvrkSection
     kinematics: ArmKinematics = LARGE_NEEDLE_DRIVER
     came: dict[str, list[Came]] = field(default_factory=lambda: defaultdict(list))
     owners: set[str] = field(default_factory=set)
+    ended_ns: int = 0
+    broken: int = 0
 
     def hear(self, topic: str, data: bytes, arrived_ns: int) -> None:
         """Take a message."""
@@ -98,17 +107,45 @@ class Told:
 
     def values(self, topic: str) -> list[Any]:
         """What was read of a topic."""
-        return [one.value for one in self.came[topic] if one.value is not None and not _unread(topic, one)]
+        return [one.value for one in self.came[topic] if not _unread(topic, one)]
 
     def unread(self, topic: str) -> str:
         """Why something of a topic cannot be read; empty where all was."""
         return next((one.value for one in self.came[topic] if _unread(topic, one)), "")
 
+    def joints(self, topic: str) -> list[Came]:
+        """Messages with as many finite positions as the topic is to have."""
+        return [one for one in self.came[topic] if not _unread(topic, one) and _whole(topic, one.value.position)]
+
+    def odd(self, topic: str) -> str:
+        """What is wrong with messages of joints; empty where all are whole."""
+        if why := self.unread(topic):
+            return f"{topic} cannot be read: {why}"
+        return (
+            ""
+            if len(self.joints(topic)) == len(self.came[topic])
+            else f"{topic} has not {_count(topic)} finite positions"
+        )
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """From the first message of any topic until listening ended."""
+        arrived = [one.arrived_ns for came in self.came.values() for one in came]
+        return min(arrived, default=0), self.ended_ns or max(arrived, default=0)
+
     @property
     def moved(self) -> bool:
         """Whether the arm has moved meanwhile."""
-        joints = [one.position for one in self.values("measured_js") if one.position.shape == (6,)]
-        return bool(joints) and bool((np.ptp(np.array(joints), axis=0) > STANDS).any())
+        joints = np.array([one.value.position for one in self.joints("measured_js")])
+        return bool(len(joints)) and bool((np.ptp(joints, axis=0) > STANDS).any())
+
+
+def _count(topic: str) -> int:
+    return 1 if topic.startswith("jaw/") else 6
+
+
+def _whole(topic: str, position: np.ndarray) -> bool:
+    return position.shape == (_count(topic),) and bool(np.isfinite(position).all())
 
 
 def _unread(topic: str, one: Came) -> bool:
@@ -128,59 +165,59 @@ def _comes(kind: str, within_s: float) -> Callable[[Told], tuple[str, str]]:
         arrived = [one.arrived_ns for one in told.came[kind]]
         if why := told.unread(kind):
             return f"cannot be read: {why}", "have it publish the type that docs/dvrk.md names"
-        if len(arrived) < 2:
+        if len(arrived) < 2 or arrived[-1] == arrived[0]:
             return "does not come", f"let {told.section.arm}/{kind} through where ROS meets Zenoh (docs/dvrk.md)"
-        longest_s = max(np.diff(arrived)) * 1e-9
+        begun_ns, ended_ns = told.span_ns
+        longest_s = max(np.diff((begun_ns, *arrived, ended_ns))) * 1e-9
         rate_hz = (len(arrived) - 1) / ((arrived[-1] - arrived[0]) * 1e-9)
         found = f"{rate_hz:.0f} a second, the longest silence {1e3 * longest_s:.0f} ms"
-        late = (
-            f"more than {1e3 * within_s:.0f} ms ends motions (stale_state): look at the network and the console's load"
-        )
+        late = f"more than {1e3 * within_s:.0f} ms ends motions (stale_state): see to network and console"
         return found, late if longest_s > within_s else ""
 
     return judge
 
 
 def _units(told: Told) -> tuple[str, str]:
-    joints, jaws = told.values("measured_js"), told.values("jaw/measured_js")
+    if odd := told.odd("measured_js") or told.odd("jaw/measured_js"):
+        return odd, "a PSM has six joints, and a jaw in jaw/measured_js"
+    joints, jaws = told.joints("measured_js"), told.joints("jaw/measured_js")
     if not joints or not jaws:
         return f"{UNKNOWN}: no joints came", ""
-    for name, values, count in (("measured_js", joints, 6), ("jaw/measured_js", jaws, 1)):
-        if any(one.position.shape != (count,) or not np.isfinite(one.position).all() for one in values):
-            return f"{name} has not {count} finite positions", "a PSM has six joints, and a jaw in jaw/measured_js"
     lower, upper = told.kinematics.limits.T
-    found = joints[-1].position
-    if not ((found > lower - 0.1) & (found < upper + 0.1)).all():
+    found = joints[-1].value.position
+    if not ((found >= lower - STANDS_OVER) & (found <= upper + STANDS_OVER)).all():
         return f"joints at {np.round(found, 3).tolist()}, beyond a PSM's limits", "radians and metres are expected"
-    return (
-        f"radians and metres, insertion {1e3 * found[2]:.0f} mm, jaw {np.degrees(jaws[-1].position[0]):.0f} degrees",
-        "",
-    )
+    jaw_deg = np.degrees(jaws[-1].value.position[0])
+    return f"radians and metres, insertion {1e3 * found[2]:.0f} mm, jaw {jaw_deg:.0f} degrees", ""
 
 
 def _one_clock(told: Told) -> tuple[str, str]:
-    stamps = [np.array([one.stamp_ns for one in told.values(kind)]) for kind in KINDS]
-    if any(len(one) < 2 for one in stamps):
+    if any(len(told.values(kind)) < 2 for kind in KINDS):
         return f"{UNKNOWN}: not all of {', '.join(KINDS)} came", ""
+    stamps = [np.array([one.stamp_ns for one in told.values(kind)]) for kind in KINDS]
     if any((one == 0).any() for one in stamps):
         return "some have no stamp", "have the console stamp what it measures"
-    if any((np.diff(one) < 0).any() for one in stamps):
+    if any((np.diff(one) < -CLOCK_SET_NS).any() for one in stamps):
         return "stamps go back", "have one clock stamp what the console measures, and set it before it starts"
-    apart_ms = 1e-6 * max(float(np.median(_apart(told, kind))) for kind in KINDS[1:])
+    apart = [_apart(told, kind) for kind in KINDS[1:]]
+    if not all(len(one) for one in apart):
+        return f"{UNKNOWN}: joints, jaw and pose do not come together", ""
+    apart_ms = 1e-6 * max(float(np.median(one)) for one in apart)
     found = f"joints, jaw and pose are stamped within {apart_ms:.1f} ms of each other"
     wrong = f"above {1e-6 * SAME_TIME_NS:.0f} ms an arm that moves is stale_state: have it publish them together"
     return found, wrong if apart_ms > 1e-6 * SAME_TIME_NS else ""
 
 
 def _apart(told: Told, kind: str) -> np.ndarray:
-    """How far the stamps of joints are from that of the message of this kind that came nearest to each, ns."""
+    """How far the stamps of joints are from the nearest of those that came with them, ns."""
     joints, others = (
         np.array([(c.arrived_ns, c.value.stamp_ns) for c in told.came[topic] if not _unread(topic, c)])
         for topic in (KINDS[0], kind)
     )
-    after = np.searchsorted(others[:, 0], joints[:, 0]).clip(1, len(others) - 1)
-    nearer = joints[:, 0] - others[after - 1, 0] < others[after, 0] - joints[:, 0]
-    return np.abs(others[after - nearer, 1] - joints[:, 1])
+    first, last = (np.searchsorted(others[:, 0], joints[:, 0] + by) for by in (-SAME_TIME_NS, SAME_TIME_NS))
+    return np.array(
+        [np.abs(others[a:b, 1] - at).min() for a, b, at in zip(first, last, joints[:, 1], strict=True) if b > a]
+    )
 
 
 def _on_time(told: Told) -> tuple[str, str]:
@@ -192,9 +229,8 @@ def _on_time(told: Told) -> tuple[str, str]:
     if not late:
         return f"{UNKNOWN}: no stamped joints came", ""
     held_ms = 1e-6 * (max(late) - min(late))
-    found = (
-        f"joints come at most {held_ms:.0f} ms later than the quickest (the clocks are {1e-9 * min(late):.3f} s apart)"
-    )
+    clocks = f"the clocks are {1e-9 * min(late):.3f} s apart"
+    found = f"joints come at most {held_ms:.0f} ms later than the quickest ({clocks})"
     return found, "a network or console that holds them back ends motions" if held_ms > 1e3 * MEASUREMENT_AGE_S else ""
 
 
@@ -231,12 +267,15 @@ def _off(told: Told, topic: str) -> tuple[float, float] | None:
 
 
 def _with_joints(told: Told, topic: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    joints = [one for one in told.values("measured_js") if one.position.shape == (6,)]
-    stamps = [one.stamp_ns for one in joints]
+    """Poses with the joints of their time."""
+    joints = sorted(told.joints("measured_js"), key=lambda one: one.value.stamp_ns)
+    stamps = np.array([one.value.stamp_ns for one in joints])
     for pose in told.values(topic):
-        at = bisect_left(stamps, pose.stamp_ns - SAME_TIME_NS)
-        if at < len(stamps) and abs(stamps[at] - pose.stamp_ns) <= SAME_TIME_NS:
-            yield joints[at].position, pose.T
+        if not len(stamps) or not pose.stamp_ns:
+            continue
+        nearest = int(np.abs(stamps - pose.stamp_ns).argmin())
+        if abs(stamps[nearest] - pose.stamp_ns) <= SAME_TIME_NS:
+            yield joints[nearest].value.position, pose.T
 
 
 def _camera_frame(told: Told) -> tuple[str, str]:
@@ -272,47 +311,58 @@ def _busy(told: Told) -> tuple[str, str]:
     sent = [one.arrived_ns for one in told.came["servo_jp"]]
     if not sent:
         return f"{UNKNOWN}: no set points came; look again while a plan is carried out", ""
-    within = [one.value for one in told.came["operating_state"] if sent[0] <= one.arrived_ns <= sent[-1]]
-    if any(not isinstance(state, str) and state.is_busy for state in within):
+    states = [one for one in told.came["operating_state"] if not _unread("operating_state", one)]
+    before = [one for one in states if one.arrived_ns < sent[0]][-1:]
+    meanwhile = [*before, *(one for one in states if sent[0] <= one.arrived_ns <= sent[-1])]
+    if not meanwhile:
+        return f"{UNKNOWN}: its state was not told by then", ""
+    if any(one.value.is_busy for one in meanwhile):
         return "busy while set points come", "no phase would end (not_following): see the console's version"
     return "not busy while set points come", ""
 
 
 def _set_points(told: Told) -> tuple[str, str]:
     """Whether it heads for what it is sent, and otherwise stays."""
-    parts = {kind: told.values(kind) for kind in SET_POINTS}
-    if missing := [kind for kind, values in parts.items() if not values]:
-        return f"{UNKNOWN}: {' and '.join(missing)} not told, so what it clips is not seen", ""
-    sent = {kind: [c for c in told.came[servo] if not _unread(servo, c)] for kind, servo in SET_POINTS.items()}
-    if not any(sent.values()):
-        moved = any(np.ptp([v.position for v in values], axis=0).max() > SAME[k].max() for k, values in parts.items())
-        return (
-            f"{UNKNOWN}: no set points came{', though it heads elsewhere' if moved else ''}; look again in a motion",
-            "",
-        )
-    for kind, values in sent.items():
-        heads = [c for c in told.came[kind] if values and values[0].arrived_ns + WINDOW_NS < c.arrived_ns]
-        heads = [c for c in heads if c.arrived_ns <= values[-1].arrived_ns]
-        off = max((_nearest(c, values, SAME[kind]) for c in heads), default=0.0)
-        if off > 1:
-            return (
-                f"{kind} is {off:.1f} times as far from what was sent as is allowed",
-                "it clips or filters set points",
-            )
+    for kind, servo in SET_POINTS.items():
+        if odd := told.odd(kind) or told.odd(servo):
+            return odd, "set points are positions of six joints, and of a jaw"
+        if not told.came[kind]:
+            return f"{UNKNOWN}: {kind} is not told, so what it clips is not seen", ""
+    if not any(told.came[servo] for servo in SET_POINTS.values()):
+        heads = {kind: np.array([one.value.position for one in told.joints(kind)]) for kind in SET_POINTS}
+        elsewhere = any((np.ptp(values, axis=0) > SAME[kind]).any() for kind, values in heads.items())
+        though = ", though it heads elsewhere" if elsewhere else ""
+        return f"{UNKNOWN}: no set points came{though}; look again in a motion", ""
+    off = {kind: _off_sent(told.joints(kind), told.joints(servo), SAME[kind]) for kind, servo in SET_POINTS.items()}
+    if not all(len(one) for one in off.values()):
+        return f"{UNKNOWN}: too few set points came to tell; look again in a longer motion", ""
+    kind = max(off, key=lambda kind: off[kind].max())
+    if off[kind].max() > 1:
+        found = f"{kind} is {off[kind].max():.1f} times as far from what was sent as is allowed"
+        return found, "it clips or filters set points (other_set_point)"
     return f"it heads for what was sent within the last {1e-6 * WINDOW_NS:.0f} ms", ""
 
 
-def _nearest(heads: Came, sent: list[Came], same: np.ndarray) -> float:
-    """How far it heads from the nearest of what it was sent lately, in what is allowed."""
-    lately = [c for c in sent if 0 <= heads.arrived_ns - c.arrived_ns <= WINDOW_NS]
-    return min((float((np.abs(heads.value.position - c.value.position) / same).max()) for c in lately), default=0.0)
+def _off_sent(heads: list[Came], sent: list[Came], same: np.ndarray) -> np.ndarray:
+    """How far each is from the nearest of what was sent lately, in what is allowed, while something is sent."""
+    if not sent:
+        return np.zeros(0)
+    at_ns, values = np.array([one.arrived_ns for one in sent]), np.array([one.value.position for one in sent])
+    off = list[float]()
+    for one in heads:
+        first, last = np.searchsorted(at_ns, (one.arrived_ns - WINDOW_NS, one.arrived_ns + 1))
+        if at_ns[0] + WINDOW_NS < one.arrived_ns <= at_ns[-1] and last > first:
+            off.append(float((np.abs(values[first:last] - one.value.position) / same).max(axis=1).min()))
+    return np.array(off)
 
 
 def _tool(told: Told) -> tuple[str, str]:
     tools, wanted = told.values("tool_type"), told.section.tool
     if not tools:
         return "was not told to who came late", "it must be latched; a bridge with a tool in its file waits for it"
-    differs = bool(wanted) and tools[-1] != wanted
+    if not wanted:
+        return f"{tools[-1]}; the rig's file names none, so it is not compared", ""
+    differs = tools[-1] != wanted
     return tools[-1], f"the rig's file says {wanted}, whose kinematics are used (wrong_tool)" if differs else ""
 
 
@@ -321,7 +371,8 @@ def _teleoperation(told: Told) -> tuple[str, str]:
     if not said:
         if "teleoperation" in told.section.has_no:
             return "not told, and has_no says that there is none", ""
-        return "was not told to who came late", "switch it on and off once, or say has_no = ['teleoperation']"
+        once = "switch it on and off while this listens, and once the rig runs; or say has_no = ['teleoperation']"
+        return "was not told to who came late", once
     return ("on", "switch it off: have one owner only") if said[-1] else ("off", "")
 
 
@@ -340,8 +391,13 @@ def _owners(told: Told) -> tuple[str, str]:
 
 
 def _errors(told: Told) -> tuple[str, str]:
-    errors = told.values("error")
-    return (f"it says: {errors[-1]}", "see the console") if errors else ("none", "")
+    """What it says meanwhile; what it had said before is latched, and may be over."""
+    begun_ns, _ = told.span_ns
+    new = [one.value for one in told.came["error"] if one.arrived_ns - begun_ns > ERROR_NS]
+    if new:
+        return f"it says: {new[-1]}", "see the console"
+    before = told.values("error")
+    return (f"none now; it had said: {before[-1]}" if before else "none"), ""
 
 
 CONFORMANCE = (
@@ -373,7 +429,9 @@ def judged(told: Told) -> Iterator[Finding]:
             arm, where, "see that its console and its Zenoh run there, and that what docs/dvrk.md allows crosses"
         )
         return
-    yield Finding(arm, "moves" if told.moved else "stands, so what only a motion shows is not judged")
+    broken = f"the link to it broke {told.broken} times meanwhile" if told.broken else ""
+    how = "moves" if told.moved else "stands, so what only a motion shows is not judged"
+    yield Finding(arm, broken or how, "see to the network, or to Zenoh beside the console" if broken else "")
     for duty in CONFORMANCE:
         yield Finding(f"{arm}: {duty.what}", *duty.judge(told))
 
@@ -408,15 +466,16 @@ def examine_console(rig: RigConfig, arm: str, watch_s: float) -> Iterator[Findin
     try:
         reached = SessionSettings(rig.rig, section.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
         watched = tuple(f"{section.arm}/{topic}" for topic in MOTIONS)
-        link = RosLink(reached, naming_of(section), listening(told), watched=watched, owner_changed=owner)
+        link = RosLink(reached, naming_of(section, NODE), listening(told), watched=watched, owner_changed=owner)
     except IdentityError as error:
         yield Finding(section.arm, f"its Zenoh at {section.endpoint} is not reached", str(error))
         return
     with closing(link):
         link.open()
         beside = _camera_beside(rig, arm, watch_s)
-    if link.failed:
-        yield Finding(section.arm, f"its Zenoh at {section.endpoint} is not reached", link.failed)
+        told.ended_ns, told.broken, failed = now_ns(), link.broken, link.failed
+    if failed:
+        yield Finding(section.arm, f"its Zenoh at {section.endpoint} is not reached", failed)
         return
     yield from judged(told)
     yield beside
@@ -429,7 +488,7 @@ def _camera_beside(rig: RigConfig, arm: str, watch_s: float) -> Finding:
         with connected(reading_session(rig), ROUTER_WAIT_S) as connection:
             with watching(connection, arm) as watch:
                 waited.wait(watch_s)
-            return finding(watch)
+            return finding(watch, rig.camera.latency_ms if rig.camera else 0.0)
     except (NoRouterError, IdentityError):
         waited.wait(watch_s)
         return Finding(WHAT, f"{UNKNOWN}: the rig's router does not answer; start the rig, and move the arm meanwhile")

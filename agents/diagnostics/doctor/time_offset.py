@@ -14,7 +14,7 @@ from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RobotState, StereoFrame
 from schemas.topics import FRAMES, ROBOT_STATE
-from shared.calibration.time_offset import ToolMotion, Window, time_offset, windows_of
+from shared.calibration.time_offset import TOO_LITTLE, ToolMotion, Window, time_offset, windows_of
 from shared.images import ImageDataError, decode_image
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
@@ -22,7 +22,7 @@ from shared.runtime.taps import Tapped
 WAITING = 64
 """Frames; on a machine that does not keep up the rest are left out."""
 WHAT = "camera and joints"
-NOTHING_MS = 5.0
+LOOK_S = 0.1
 
 
 @dataclass
@@ -32,7 +32,8 @@ class Watch:
     arm: str
     states: dict[int, RobotState] = field(default_factory=dict[int, RobotState])
     windows: list[Window] = field(default_factory=list[Window])
-    _frames: "queue.Queue[Tapped | None]" = field(default_factory=lambda: queue.Queue(WAITING))
+    _frames: "queue.Queue[Tapped]" = field(default_factory=lambda: queue.Queue(WAITING))
+    _ended: threading.Event = field(default_factory=threading.Event)
 
     def take(self, tapped: Tapped) -> None:
         """A frame or a state, from another thread."""
@@ -51,12 +52,12 @@ class Watch:
 
     def end(self) -> None:
         """No more frames."""
-        self._frames.put(None)
+        self._ended.set()
 
     def _images(self) -> Iterator[tuple[float, UInt8[np.ndarray, "h w *c"]]]:
-        while (tapped := self._frames.get()) is not None:
-            with contextlib.suppress(MessageError, ImageDataError):
-                frame = decode(StereoFrame, tapped.payload)
+        while not self._ended.is_set():
+            with contextlib.suppress(queue.Empty, MessageError, ImageDataError):
+                frame = decode(StereoFrame, self._frames.get(timeout=LOOK_S).payload)
                 yield frame.stamp.capture_left_ns * 1e-9, decode_image(frame.left)
 
 
@@ -74,8 +75,8 @@ def watching(connection: Connection, arm: str) -> Generator[Watch]:
         looking.join()
 
 
-def finding(watch: Watch) -> Finding:
-    """What came of it."""
+def finding(watch: Watch, latency_ms: float) -> Finding:
+    """What came of it, where the camera has that `latency_ms` now."""
     ordered = [watch.states[at_ns] for at_ns in sorted(watch.states)]
     if len(ordered) < 2:
         return Finding(WHAT, f"{UNKNOWN}: the rig tells no state of {watch.arm}")
@@ -88,11 +89,13 @@ def finding(watch: Watch) -> Finding:
         ),
     )
     if found is None:
-        return Finding(WHAT, f"{UNKNOWN}: too little motion in view; move the arm meanwhile, for half a minute")
+        return Finding(WHAT, f"{UNKNOWN}: {TOO_LITTLE}; move the arm in view meanwhile, for half a minute")
     low, high = (1e3 * value for value in found.interval_s)
     told = f"the camera's stamps are {1e3 * found.delay_s:+.0f} ms later, 95 % within {low:+.0f} and {high:+.0f}"
-    if low <= NOTHING_MS and high >= -NOTHING_MS:
+    if low <= 0 <= high:
         return Finding(WHAT, told)
-    if found.delay_s > 0:
-        return Finding(WHAT, told, f"add {1e3 * found.delay_s:.0f} to latency_ms of [camera]")
-    return Finding(WHAT, told, f"take {-1e3 * found.delay_s:.0f} off latency_ms of [camera], or set the arm's clock")
+    clocks = "where the clocks of the camera's and the bridge's host agree (suturegrasp doctor tells)"
+    should_ms = max(0.0, latency_ms + 1e3 * found.delay_s)
+    if found.delay_s > 0 or latency_ms > 0:
+        return Finding(WHAT, told, f"set latency_ms of [camera] to {should_ms:.0f}, {clocks}")
+    return Finding(WHAT, told, "set the clocks of the camera's and the bridge's host, or see why joints come late")
