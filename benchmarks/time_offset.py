@@ -82,10 +82,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=60.0)
     chosen = parser.parse_args(arguments)
     print("| seed | offset ms | found: off by ms | 95 % interval ms | windows |\n|---|---|---|---|---|")
-    off, held, tells = list[float](), 0, 0
+    off, held, sessions = list[float](), 0, 0
     for seed in range(*chosen.seeds):
         delay_s, found = tried(seed, chosen.seconds)
-        tells += 1
+        sessions += 1
         if found is None:
             print(f"| {seed} | {1e3 * delay_s:.0f} | too little motion to tell | | |", flush=True)
             continue
@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"| {seed} | {1e3 * delay_s:.0f} | {said} |", flush=True)
     if off:
         worst = max(map(abs, off))
-        print(f"told in {len(off)} of {tells}; at most {worst:.1f} ms off; within the interval {held} of {len(off)}")
+        print(f"told in {len(off)} of {sessions}; at most {worst:.1f} ms off; within the interval {held} of {len(off)}")
     return 0
 
 

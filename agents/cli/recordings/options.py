@@ -28,7 +28,8 @@ class Inspect(OnRecording):
     html: OptionalPath = None
     """Also write a page with charts and pictures, in one file."""
     time_offset: bool = False
-    """Also find how much later the camera's stamps are than each arm's joints, from its tool's motion in the images."""
+    """Also find how much later the camera's stamps are than each arm's joints, from its tool's motion in the images;
+    it is not on the page."""
 
 
 @dataclass(frozen=True)
