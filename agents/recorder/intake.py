@@ -14,6 +14,7 @@ from pathlib import Path
 from schemas.topics import Topic, topic_of
 from shared.clock import now_ns
 from shared.recording.losses import NO_ROOM, ON_THE_WAY, TOLD_BY_ZENOH, Loss
+from shared.runtime.attachment import Attachment
 from shared.runtime.taps import Tapped
 
 QUEUE_LIMIT = 4000
@@ -28,6 +29,7 @@ class Waiting:
     """A numbered message, and when it was received."""
 
     tapped: Tapped
+    beside: Attachment
     received_ns: int
 
 
@@ -51,19 +53,19 @@ class Intake:
         with self._changed:
             if self.closed:
                 return
-            if tapped.beside is None:
+            beside = tapped.beside
+            if beside is None:
                 self.unnumbered += 1
                 return
             # the time is read under the lock, so that the file is in the order of its times
             at_ns = now_ns()
-            self._follow(tapped, at_ns)
+            self._follow(tapped.key, beside, at_ns)
             size = len(tapped.payload)
             if len(self._waiting) >= self._limit or (self._waiting and self._bytes + size > self._limit_bytes):
-                number = tapped.beside.sequence
-                self._losses.append(Loss(tapped.key, number, number, NO_ROOM, at_ns))
+                self._losses.append(Loss(tapped.key, beside.sequence, beside.sequence, NO_ROOM, at_ns))
                 return
             self._bytes += size
-            self._waiting.append(Waiting(tapped, at_ns))
+            self._waiting.append(Waiting(tapped, beside, at_ns))
             if self._bytes >= GATHERED_BYTES or 2 * len(self._waiting) >= self._limit:
                 self._changed.notify()
 
@@ -106,16 +108,13 @@ class Intake:
         with self._changed:
             return not self._waiting
 
-    def _follow(self, tapped: Tapped, at_ns: int) -> None:
-        beside = tapped.beside
-        if beside is None:
-            return
-        epoch, last = self._last.get(tapped.key, (beside.epoch, beside.sequence - 1))
-        self._last[tapped.key] = (beside.epoch, beside.sequence)
+    def _follow(self, key: str, beside: Attachment, at_ns: int) -> None:
+        epoch, last = self._last.get(key, (beside.epoch, beside.sequence - 1))
+        self._last[key] = (beside.epoch, beside.sequence)
         # a publisher that restarted begins a new sequence
         if epoch == beside.epoch and beside.sequence > last + 1:
-            self._losses.append(Loss(tapped.key, last + 1, beside.sequence - 1, ON_THE_WAY, at_ns))
-            self._gaps[str(topic_of(tapped.key))] += beside.sequence - last - 1
+            self._losses.append(Loss(key, last + 1, beside.sequence - 1, ON_THE_WAY, at_ns))
+            self._gaps[str(topic_of(key))] += beside.sequence - last - 1
 
 
 SHARE, MOST_BYTES = 0.02, 500 << 20

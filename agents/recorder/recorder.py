@@ -150,10 +150,7 @@ class Recorder:
         self.ended.set()
 
     def _write(self, waiting: Waiting) -> None:
-        tapped, beside = waiting.tapped, waiting.tapped.beside
-        if beside is None:
-            return
-        received_ns = waiting.received_ns
+        tapped, beside, received_ns = waiting.tapped, waiting.beside, waiting.received_ns
         entry = Entry(tapped.key, beside.epoch, beside.sequence, tapped.payload, beside.published_ns, received_ns)
         # the format holds no time before 1970, and a message that claims one is lost alone
         if entry.published_ns < 0 or not self._do(lambda: self._sink.write(tapped.topic, entry)):
