@@ -1,5 +1,6 @@
 """A rig of four hosts rehearsed on this machine, as docs/deployment.md has it."""
 
+import itertools
 import re
 import subprocess
 import sys
@@ -38,9 +39,10 @@ def test_four_hosts_come_up_and_every_break_is_named_and_over():
         assert part.startswith(what)
         assert named in part
         assert "all well again" in part
-    # what lies behind the router is not named in its place
-    first, *_ = re.findall(r"^ +\d+\.\d s +(.*)", parts[0], re.MULTILINE)
-    assert "router" in first
+    # what lies behind the router is not named in its place; a machine that is busy besides may be named before it
+    told = re.findall(r"^ +\d+\.\d s +(.*)", parts[0], re.MULTILINE)
+    before = list(itertools.takewhile(lambda line: "router" not in line, told))
+    assert not [line for line in before if " is gone" in line or "not reached" in line]
     assert not list(Path("/run/netns").glob(f"{PREFIX}*"))
 
 
