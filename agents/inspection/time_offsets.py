@@ -1,6 +1,6 @@
 """By how much a recording's camera is later than the joints of each of its arms, where the arms move the most."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -48,7 +48,7 @@ def time_offsets(path: Path) -> tuple[ArmOffset, ...]:
     states: dict[str, dict[int, RobotState]] = {}
     for state in _messages(path, ROBOT_STATE, RobotState):
         states.setdefault(state.arm, {})[state.measured_ns] = state
-    motions = {arm: _motion(of_arm) for arm, of_arm in sorted(states.items()) if len(of_arm) > 1}
+    motions = {arm: motion_of(of_arm) for arm, of_arm in sorted(states.items()) if len(of_arm) > 1}
     if not motions:
         return ()
     begin_s = _most_motion(list(motions.values()))
@@ -71,7 +71,8 @@ def _messages(path: Path, topic: Topic, kind: type[Message]) -> Iterator[Message
                 continue
 
 
-def _motion(states: dict[int, RobotState]) -> ToolMotion:
+def motion_of(states: Mapping[int, RobotState]) -> ToolMotion:
+    """The tool's motion, from the states of an arm by when they were measured."""
     ordered = [states[at_ns] for at_ns in sorted(states)]
     return ToolMotion(
         np.array([state.measured_ns * 1e-9 for state in ordered]),

@@ -1,5 +1,7 @@
 """`suturegrasp cut`: a shorter recording out of a longer one."""
 
+import math
+
 from agents.cli.recordings.options import Cut
 from agents.cli.whole_file import OutputError, whole_file
 from agents.launch.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
@@ -23,10 +25,10 @@ def run(options: Cut) -> int:
         if arm in delays_ms:
             return complain(f"--delay of {arm} is given twice", EXIT_UNUSABLE)
         try:
-            delays_ms[arm] = float(ms) if arm else float("nan")
+            delays_ms[arm] = float(ms)
         except ValueError:
-            delays_ms[arm] = float("nan")
-        if delays_ms[arm] != delays_ms[arm]:
+            delays_ms[arm] = math.nan
+        if not arm or math.isnan(delays_ms[arm]):
             return complain(f"--delay {written!r} is no arm with milliseconds, such as psm1=120", EXIT_UNUSABLE)
         if not abs(delays_ms[arm]) <= LARGEST_DELAY_MS:
             return complain(f"--delay {written} is beyond {LARGEST_DELAY_MS:.0f} ms", EXIT_UNUSABLE)

@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.diagnostics.doctor.finding import UNKNOWN, Finding
+from agents.inspection.time_offsets import motion_of
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RobotState, StereoFrame
 from schemas.topics import FRAMES, ROBOT_STATE
-from shared.calibration.time_offset import TOO_LITTLE, ToolMotion, Window, time_offset, windows_of
+from shared.calibration.time_offset import TOO_LITTLE, Window, time_offset, windows_of
 from shared.images import ImageDataError, decode_image
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
@@ -77,17 +78,9 @@ def watching(connection: Connection, arm: str) -> Generator[Watch]:
 
 def finding(watch: Watch, latency_ms: float) -> Finding:
     """What came of it, where the camera has that `latency_ms` now."""
-    ordered = [watch.states[at_ns] for at_ns in sorted(watch.states)]
-    if len(ordered) < 2:
+    if len(watch.states) < 2:
         return Finding(WHAT, f"{UNKNOWN}: the rig tells no state of {watch.arm}")
-    found = time_offset(
-        watch.windows,
-        ToolMotion(
-            np.array([state.measured_ns * 1e-9 for state in ordered]),
-            np.array([state.T_base_tool for state in ordered]),
-            np.array([state.jaw_rad for state in ordered]),
-        ),
-    )
+    found = time_offset(watch.windows, motion_of(watch.states))
     if found is None:
         return Finding(WHAT, f"{UNKNOWN}: {TOO_LITTLE}; move the arm in view meanwhile, for half a minute")
     low, high = (1e3 * value for value in found.interval_s)
