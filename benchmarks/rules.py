@@ -45,7 +45,7 @@ def _first(given: Any, *_: Any) -> Any:
 
 
 WITHOUT_METAL = 0.87, 0.0, 0.72, -0.21
-"""`network.WEIGHTS` as `training.line_odds` fits them without that."""
+"""`network.WEIGHTS` as `benchmarks.training.line_odds` fits them without that."""
 RULES: dict[str, tuple[Change, ...]] = {
     "faint stretches of lines": ((network, "FAINTEST", 102),),
     "what speaks against metal": ((network, "WEIGHTS", WITHOUT_METAL),),

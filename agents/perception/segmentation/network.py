@@ -16,7 +16,7 @@ FAINTEST, BORDER, AROUND_PX = 32, 0.4, 9
 """A pixel is part of a line where it scores so much at least, and such a share of the best that lies so near: so a line
 is as wide as the thread is, wherever it is faint."""
 WEIGHTS = 0.9, 0.32, 0.51, -1.0
-"""Of what speaks for a line's being thread (`evidence`), in log-odds: fitted by `training.line_odds`."""
+"""Of what speaks for a line's being thread (`evidence`), in log-odds: fitted by `benchmarks.training.line_odds`."""
 LEAST_LOG_ODDS = math.log(2)
 """From which a line counts as thread: a false one costs twice what a missed one does."""
 

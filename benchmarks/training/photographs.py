@@ -1,4 +1,4 @@
-"""Photographs of black stitches as labelled views: python -m agents.perception.training.photographs --output DIR.
+"""Photographs of black stitches as labelled views: python -m benchmarks.training.photographs --output DIR.
 
 What is black on a pad of the colour of skin, and long, is thread: ink on these pads is red or violet. Photographs that
 show less pad than surroundings are left out, since rulers lie there.
@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.training.lab_ground import save
-from agents.perception.training.scenes import Coverage, Image
+from benchmarks.training.lab_ground import save
+from benchmarks.training.scenes import Coverage, Image
 
 BLACK, EDGE = 0.42, 0.62
 """Of the red light of the pad around: thread shows no more, and its edge less than this. Red ink shows more."""
@@ -66,7 +66,7 @@ def _pad(colour: np.ndarray) -> UInt8[np.ndarray, "h w"]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and write NAME_left.png and NAME_mask_left.png of each; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.photographs", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.photographs", description=__doc__)
     parser.add_argument("--photographs", type=Path, default=Path("../shared/data/suture_pads"), help="folder of *.jpg")
     parser.add_argument("--output", type=Path, required=True, help="folder to write into")
     chosen = parser.parse_args(arguments)

@@ -9,7 +9,7 @@ thread's own colour is drawn anew elsewhere (`dyeing`).
 import torch
 from torch.nn import functional
 
-from agents.perception.training.random_numbers import Lots
+from benchmarks.training.random_numbers import Lots
 
 BEHIND_PX = 8
 """How far the ground's detail is told from its light."""

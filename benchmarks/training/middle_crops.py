@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from agents.perception.centrelines.along import STRIDE, Pieces, blurred, gaussian
 from agents.perception.centrelines.learned import BEYOND_PX, PLACES, straightened
 from agents.perception.centrelines.refine import LEARNED_ALONG_PX
-from agents.perception.training.middle_drawn import SHADOW_WIDTHS, drawn_view, shadow_band
-from agents.perception.training.middle_views import WIDE_PLACES, MiddleView
+from benchmarks.training.middle_drawn import SHADOW_WIDTHS, drawn_view, shadow_band
+from benchmarks.training.middle_views import WIDE_PLACES, MiddleView
 
 VIEWS, STRETCHES, LENGTH = 14, 8, 192
 """Of a batch: stretches of so many points from each of so many views, since the light is that of the whole view."""

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from agents.perception.training.lab_ground import (
+from benchmarks.training.lab_ground import (
     INSTRUMENT,
     Box,
     Canvas,

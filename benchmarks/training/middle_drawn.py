@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import BEYOND_PX
-from agents.perception.training.middle_views import WIDE_PLACES, MiddleView
+from benchmarks.training.middle_views import WIDE_PLACES, MiddleView
 
 POINTS, KNOT_POINTS = 400, 40
 WIDTH_PX = 1.3, 10.0

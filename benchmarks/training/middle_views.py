@@ -22,7 +22,7 @@ from agents.perception.centrelines.learned import reach_px, seen_across, usual_w
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import tangent_sigma
 from agents.perception.segmentation.network import segment_network
-from agents.perception.training.scenes import EYES, Coverage, Image, View, views_in
+from benchmarks.training.scenes import EYES, Coverage, Image, View, views_in
 
 WIDE_PLACES = np.linspace(-1.5, 1.5, 61, dtype=np.float32)
 """Wider and finer than the network looks, so that profiles can be drawn aside and made wider or narrower."""

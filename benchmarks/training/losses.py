@@ -5,7 +5,7 @@
 import torch
 from torch.nn import functional
 
-from agents.perception.training.architecture import CLASSES, PHASES
+from benchmarks.training.architecture import CLASSES, PHASES
 
 WEIGHTS = 1.0, 3.0, 1.5, 1.0
 """Of pixels with ground, thread, needle, instrument in the cross-entropy: the greatest that a pixel has."""

@@ -14,14 +14,14 @@ from agents.perception.both_eyes.network_inputs import Eye, together  # noqa: E4
 from agents.perception.centrelines.along import Pieces  # noqa: E402
 from agents.perception.centrelines.learned import reach_px  # noqa: E402
 from agents.perception.segmentation.classes import phases, scores_of  # noqa: E402
-from agents.perception.training.architecture import ClassNet, Encoder, unfolded  # noqa: E402
-from agents.perception.training.crops import CROP_PX, batches  # noqa: E402
-from agents.perception.training.evaluate import main as evaluate  # noqa: E402
-from agents.perception.training.export import convolutions, export_network  # noqa: E402
-from agents.perception.training.middle_apart import ApartNet, aside_px, told, weights_of  # noqa: E402
-from agents.perception.training.middle_pairs import INNER, WIDE_PLACES, PairProfiles, features  # noqa: E402
-from agents.perception.training.scenes import View  # noqa: E402
-from agents.perception.training.train import main  # noqa: E402
+from benchmarks.training.architecture import ClassNet, Encoder, unfolded  # noqa: E402
+from benchmarks.training.crops import CROP_PX, batches  # noqa: E402
+from benchmarks.training.evaluate import main as evaluate  # noqa: E402
+from benchmarks.training.export import convolutions, export_network  # noqa: E402
+from benchmarks.training.middle_apart import ApartNet, aside_px, told, weights_of  # noqa: E402
+from benchmarks.training.middle_pairs import INNER, WIDE_PLACES, PairProfiles, features  # noqa: E402
+from benchmarks.training.scenes import View  # noqa: E402
+from benchmarks.training.train import main  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

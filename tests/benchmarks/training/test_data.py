@@ -10,14 +10,14 @@ import pytest
 
 from agents.perception.both_eyes.network_inputs import LEFT, RIGHT, together
 from agents.perception.centrelines.learned import learned_middles
-from agents.perception.training.lab_ground import SEALED
-from agents.perception.training.lab_instruments import load_meshes
-from agents.perception.training.lab_scenes import NAMES, lab_scene, main
-from agents.perception.training.light_scenes import write_scenes
-from agents.perception.training.middle_crops import LENGTH, STRETCHES, VIEWS, batches, profiles_of
-from agents.perception.training.middle_drawn import drawn_view
-from agents.perception.training.middle_pairs import INNER, pair_profiles
-from agents.perception.training.scenes import SceneFolderError, views_in
+from benchmarks.training.lab_ground import SEALED
+from benchmarks.training.lab_instruments import load_meshes
+from benchmarks.training.lab_scenes import NAMES, lab_scene, main
+from benchmarks.training.light_scenes import write_scenes
+from benchmarks.training.middle_crops import LENGTH, STRETCHES, VIEWS, batches, profiles_of
+from benchmarks.training.middle_drawn import drawn_view
+from benchmarks.training.middle_pairs import INNER, pair_profiles
+from benchmarks.training.scenes import SceneFolderError, views_in
 from schemas.messages import RectifiedStereo
 
 MESHES = Path("../shared/data/instruments")
@@ -101,7 +101,7 @@ def test_lab_scenes_are_written_once_and_absent_meshes_told_in_one_sentence(tmp_
     assert told.count("\n") == 1
 
 
-RENDERS = Path(__file__).parents[4] / "../shared/data/renders"
+RENDERS = Path(__file__).parents[3] / "../shared/data/renders"
 NAME = "cfg_easy_paper"
 
 

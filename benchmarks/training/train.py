@@ -1,4 +1,4 @@
-"""Train the network: python -m agents.perception.training.train --scenes DIR... --output classes.pt [--device cuda].
+"""Train the network: python -m benchmarks.training.train --scenes DIR... --output classes.pt [--device cuda].
 
 It begins with the encoder's weights (--encoder) or goes on from those of an earlier training (--start).
 """
@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from agents.perception.training.architecture import ClassNet, WeightsError, network_of, unfolded
-from agents.perception.training.crops import Pixels, batches_of, pixels_of
-from agents.perception.training.export import convolutions, export
-from agents.perception.training.losses import class_loss
-from agents.perception.training.prefetch import made_ahead
-from agents.perception.training.scenes import SceneFolderError, View, views_in
+from benchmarks.training.architecture import ClassNet, WeightsError, network_of, unfolded
+from benchmarks.training.crops import Pixels, batches_of, pixels_of
+from benchmarks.training.export import convolutions, export
+from benchmarks.training.losses import class_loss
+from benchmarks.training.prefetch import made_ahead
+from benchmarks.training.scenes import SceneFolderError, View, views_in
 from shared.clock import monotonic_s
 
 WARM_UP_SHARE = 0.05
@@ -158,7 +158,7 @@ def step_share(done: float) -> float:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, keep the weights, also as ONNX; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.train", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.train", description=__doc__)
     parser.add_argument(
         "--scenes",
         type=Path,

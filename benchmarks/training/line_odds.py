@@ -1,4 +1,4 @@
-"""What speaks for a line being thread: python -m agents.perception.training.line_odds --scenes DIR --judged DIR.
+"""What speaks for a line being thread: python -m benchmarks.training.line_odds --scenes DIR --judged DIR.
 
 Lines of scenes with known truth (`segmentation.network.lines_in`), seen as they are and through worse cameras, are told
 thread from none by logistic regression. What it finds is printed, and then, of scenes that it was not fitted to, how
@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from agents.perception.segmentation.classes import as_usual, thread_score
 from agents.perception.segmentation.network import WEIGHTS, evidence, lines_in
-from agents.perception.training.scenes import View, views_in
+from benchmarks.training.scenes import View, views_in
 
 Image = UInt8[np.ndarray, "h w 3"]
 AS_IT_IS = 0.2

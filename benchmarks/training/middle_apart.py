@@ -1,6 +1,6 @@
 """Learn by how much more the left middle of a thread errs than the right one, from the profiles of both eyes.
 
-python -m agents.perception.training.middle_apart --scenes DIR [DIR ...] --held-out DIR [DIR ...] --output apart.npz
+python -m benchmarks.training.middle_apart --scenes DIR [DIR ...] --held-out DIR [DIR ...] --output apart.npz
 
 Learns from pairs of the first folders, and prints for each of the others what share of the variance is told, and the
 errors' rms before and after. docs/model_card.md says what the project's own weights have learned from.
@@ -22,8 +22,8 @@ from torch import nn
 from agents.perception.both_eyes.apart import DILATIONS
 from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import LOG_SCALE, STEPS
-from agents.perception.training.middle_pairs import WINDOW, PairProfiles, explained, features, pair_profiles
-from agents.perception.training.train import step_share
+from benchmarks.training.middle_pairs import WINDOW, PairProfiles, explained, features, pair_profiles
+from benchmarks.training.train import step_share
 
 STATES = 48
 DROPPED, DROPPED_ALONG, BLURRED = 0.2, 0.1, 0.05
@@ -172,7 +172,7 @@ def weights_of(network: ApartNet) -> dict[str, Float16[np.ndarray, "..."]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, print, write the weights; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.middle_apart", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.middle_apart", description=__doc__)
     parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered pairs to learn from")
     parser.add_argument("--held-out", type=Path, nargs="+", required=True, help="folders that are only looked at")
     parser.add_argument("--output", type=Path, required=True, help="where the weights go, as NumPy keeps them")

@@ -1,4 +1,4 @@
-"""Labelled scenes of a lab: python -m agents.perception.training.lab_scenes --count 500 --seed 1 --output DIR.
+"""Labelled scenes of a lab: python -m benchmarks.training.lab_scenes --count 500 --seed 1 --output DIR.
 
 Each seed makes one scene of one eye: NAME_left.png, and how much of each pixel thread, needle and instrument cover, 0
 to 255, in NAME_mask_left.png, NAME_needle_left.png and NAME_instrument_left.png. Scenes that are there are left alone.
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.training.lab_ground import (
+from benchmarks.training.lab_ground import (
     FONTS,
     GROUND,
     GROUNDS,
@@ -28,8 +28,8 @@ from agents.perception.training.lab_ground import (
     save,
     soft,
 )
-from agents.perception.training.lab_instruments import Drawn, Solid, draw_instrument, load_meshes
-from agents.perception.training.lab_strands import (
+from benchmarks.training.lab_instruments import Drawn, Solid, draw_instrument, load_meshes
+from benchmarks.training.lab_strands import (
     Look,
     distractor,
     fray,
@@ -249,7 +249,7 @@ class _Chosen:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and write the scenes; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.lab_scenes", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.lab_scenes", description=__doc__)
     parser.add_argument("--count", type=int, default=100, help="of scenes")
     parser.add_argument("--seed", type=int, default=1, help="of the first scene; the others follow")
     parser.add_argument("--output", type=Path, required=True, help="folder to write into")

@@ -1,6 +1,6 @@
 """What a network with classes finds in labelled views, pixel by pixel.
 
-    python -m agents.perception.training.evaluate --scenes DIR [--weights OTHER.onnx]
+    python -m benchmarks.training.evaluate --scenes DIR [--weights OTHER.onnx]
 
 Thread counts within 2 px; needle and instrument by what answer and truth have in common, of what is either.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Int64, UInt8
 
 from agents.perception.segmentation.classes import WEIGHTS, Kind, highest, scores_of
-from agents.perception.training.scenes import View, views_in
+from benchmarks.training.scenes import View, views_in
 
 NEAR_PX = 2.0
 Classes = UInt8[np.ndarray, "h w"]
@@ -88,7 +88,7 @@ def _share(shares: np.ndarray, either: np.ndarray, kind: Kind) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and print the figures; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.evaluate", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.evaluate", description=__doc__)
     parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of labelled views")
     parser.add_argument("--weights", type=Path, default=WEIGHTS, help="ONNX in place of the project's own")
     parser.add_argument("--each", action="store_true", help="a line for each view as well")

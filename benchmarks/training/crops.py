@@ -12,10 +12,10 @@ import torch
 from jaxtyping import Float64, UInt8
 
 from agents.perception.segmentation.classes import Kind, highest, scores_of
-from agents.perception.training.augmentation import varied
-from agents.perception.training.drawn_layers import Layers, drawn_layers
-from agents.perception.training.random_numbers import Lots, lots_of
-from agents.perception.training.scenes import View
+from benchmarks.training.augmentation import varied
+from benchmarks.training.drawn_layers import Layers, drawn_layers
+from benchmarks.training.random_numbers import Lots, lots_of
+from benchmarks.training.scenes import View
 
 ON_THREAD_SHARE = 0.6
 CROP_PX = 256

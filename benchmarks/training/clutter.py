@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from agents.perception.training.blurring import blurred
-from agents.perception.training.random_numbers import Lots
+from benchmarks.training.blurring import blurred
+from benchmarks.training.random_numbers import Lots
 
 Rod = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 """Tip (n, 2), the way it goes from there, radius there, and how much that grows on the way."""

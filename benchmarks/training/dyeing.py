@@ -9,8 +9,8 @@ vessels. Some crops get a second strand as well, of another crop or beside their
 import torch
 from torch.nn import functional
 
-from agents.perception.training.blurring import blurred, spread
-from agents.perception.training.random_numbers import Lots
+from benchmarks.training.blurring import blurred, spread
+from benchmarks.training.random_numbers import Lots
 
 CORE = 230.0
 """Coverage, 0 to 255, from which on a pixel shows thread alone."""

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from agents.perception.training.random_numbers import Lots
+from benchmarks.training.random_numbers import Lots
 
 BLOCK = 8
 QUALITY = 40.0, 96.0

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.training.lab_ground import (
+from benchmarks.training.lab_ground import (
     GROUND,
     NEEDLE,
     THREAD,
@@ -22,7 +22,7 @@ from agents.perception.training.lab_ground import (
     lay,
     wandering,
 )
-from agents.perception.training.lab_instruments import mirrored_surrounding
+from benchmarks.training.lab_instruments import mirrored_surrounding
 
 STEP_PX = 0.5
 SUNK_PX = 3.0

@@ -1,4 +1,4 @@
-"""Learn where a thread's middle lies: python -m agents.perception.training.middle --scenes DIR --output learned.npz.
+"""Learn where a thread's middle lies: python -m benchmarks.training.middle --scenes DIR --output learned.npz.
 
 Prints, for views that are held out, how far the middle between the edges and the learned one lie from the true one.
 """
@@ -16,11 +16,11 @@ import torch
 from jaxtyping import Float16
 
 from agents.perception.centrelines.learned import LOG_SCALE, weights_in
-from agents.perception.training.middle_crops import ALONE, batches
-from agents.perception.training.middle_evaluate import line_of
-from agents.perception.training.middle_network import STATES, MiddleNet, started_from, weights_of
-from agents.perception.training.middle_views import MiddleView, middle_views
-from agents.perception.training.train import step_share
+from benchmarks.training.middle_crops import ALONE, batches
+from benchmarks.training.middle_evaluate import line_of
+from benchmarks.training.middle_network import STATES, MiddleNet, started_from, weights_of
+from benchmarks.training.middle_views import MiddleView, middle_views
+from benchmarks.training.train import step_share
 
 STEPS_BETWEEN_REPORTS = 1000
 WEIGHT_DECAY, MOVING_AVERAGE = 3e-2, 0.998
@@ -139,7 +139,7 @@ def _short(network: MiddleNet) -> dict[str, Float16[np.ndarray, "..."]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, write the weights; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.middle", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.middle", description=__doc__)
     parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered scenes")
     parser.add_argument("--output", type=Path, required=True, help="where the weights go, as NumPy keeps them")
     parser.add_argument("--steps", type=int, default=24_000, help="of 64 stretches each")

@@ -10,19 +10,19 @@ from collections.abc import Iterator
 
 import torch
 
-from agents.perception.training.appearance import (
+from benchmarks.training.appearance import (
     with_other_ground,
     with_other_light,
     with_other_order,
     with_other_steel,
     with_other_texture,
 )
-from agents.perception.training.blurring import blurred, moved
-from agents.perception.training.clutter import with_blood, with_glints, with_smoke, with_tools, with_vessels
-from agents.perception.training.drawn_layers import Layers
-from agents.perception.training.dyeing import with_other_dye, with_second_strand
-from agents.perception.training.jpeg import compressed
-from agents.perception.training.random_numbers import Lots
+from benchmarks.training.blurring import blurred, moved
+from benchmarks.training.clutter import with_blood, with_glints, with_smoke, with_tools, with_vessels
+from benchmarks.training.drawn_layers import Layers
+from benchmarks.training.dyeing import with_other_dye, with_second_strand
+from benchmarks.training.jpeg import compressed
+from benchmarks.training.random_numbers import Lots
 
 DYED_SHARE, STRANDS_SHARE = 0.6, 0.15
 VESSELS_SHARE, BLOOD_SHARE, GLINTS_SHARE, TOOLS_SHARE, SMOKE_SHARE = 0.3, 0.3, 0.3, 0.25, 0.1

@@ -1,4 +1,4 @@
-"""Many quick scenes to train on: python -m agents.perception.training.light_scenes --count 120 --seed 1 --output DIR.
+"""Many quick scenes to train on: python -m benchmarks.training.light_scenes --count 120 --seed 1 --output DIR.
 
 One backdrop carries several scenes, each with no, one or two threads of colours as varied as sutures and lamps are.
 Files are named as those of path-traced scenes: NAME_left.png, NAME_mask_left.png, and the right ones.
@@ -126,7 +126,7 @@ class _Chosen:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and write the scenes; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.light_scenes", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.light_scenes", description=__doc__)
     parser.add_argument("--count", type=int, default=120, help="of backdrops, each with three scenes")
     parser.add_argument("--seed", type=int, default=1, help="of the first backdrop; the others follow")
     parser.add_argument("--output", type=Path, required=True, help="folder to write into")

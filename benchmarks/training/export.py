@@ -1,4 +1,4 @@
-"""Trained weights as ONNX: python -m agents.perception.training.export WEIGHTS.pt OUT.onnx [--began EARLIER.pt].
+"""Trained weights as ONNX: python -m benchmarks.training.export WEIGHTS.pt OUT.onnx [--began EARLIER.pt].
 
 With --began a share of the weights that the training went on from is kept: the mean of both is at home with what
 either has learned (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
@@ -17,7 +17,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from agents.perception.training.architecture import COLOURS, PHASES, ClassNet, network_of
+from benchmarks.training.architecture import COLOURS, PHASES, ClassNet, network_of
 
 OPSET = 13
 SMALL = 64
@@ -107,7 +107,7 @@ def _halve(graph: onnx.GraphProto) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and export; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.export", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.export", description=__doc__)
     parser.add_argument("weights", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("--began", type=Path, default=None, help="weights that the training went on from")

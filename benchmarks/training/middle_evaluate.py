@@ -1,6 +1,6 @@
 """How far the middle between the edges and the learned one lie from the true one, in rendered views that are held out.
 
-python -m agents.perception.training.middle_evaluate --scenes DIR [--weights OTHER.npz] [--all] [--each]
+python -m benchmarks.training.middle_evaluate --scenes DIR [--weights OTHER.npz] [--all] [--each]
 """
 
 import argparse
@@ -14,8 +14,8 @@ from jaxtyping import Float64, Int64
 from scipy.spatial import cKDTree
 
 from agents.perception.centrelines.learned import Weights, learned_middles, own_weights, weights_in
-from agents.perception.training.middle_crops import ALIKE_MM, eye_pairs, profiles_of
-from agents.perception.training.middle_views import MiddleView, middle_views
+from benchmarks.training.middle_crops import ALIKE_MM, eye_pairs, profiles_of
+from benchmarks.training.middle_views import MiddleView, middle_views
 
 WINDOW_POINTS = 60
 """Over so many points errors are averaged, to tell what neighbours share: that bends a curve, the rest averages out."""
@@ -129,7 +129,7 @@ def _shared(error: Float64[np.ndarray, "n"]) -> float:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and print the figures; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.middle_evaluate", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.middle_evaluate", description=__doc__)
     parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered scenes")
     parser.add_argument("--weights", type=Path, default=None, help="in place of the project's own")
     parser.add_argument("--all", action="store_true", help="all views, where none of the folders was learned from")

@@ -25,8 +25,8 @@ from agents.perception.centrelines import thread_centrelines
 from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import has_plain_ground, reach_px
 from agents.perception.segmentation.network import segment_network
-from agents.perception.training.middle_views import Truth, offsets_to, truth_of
-from agents.perception.training.scenes import View, views_in
+from benchmarks.training.middle_views import Truth, offsets_to, truth_of
+from benchmarks.training.scenes import View, views_in
 from schemas.messages import Centrelines
 from shared.disparities import disparities
 
