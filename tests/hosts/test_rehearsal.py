@@ -14,7 +14,7 @@ LAB = Path(__file__).parents[2] / "deploy" / "lab.toml"
 BREAKS = ("--cut", "video", "--kill", "perception", "--seconds", "8")
 NAMED = {
     "video is cut off": "no router answers on tls/10.0.0.11:7447 on host video",
-    "perception is killed": "perception on strong is gone",
+    "perception is killed": "perception on strong began anew",
 }
 """What `status` calls each of them."""
 pytestmark = [pytest.mark.hosts, pytest.mark.timeout(400)]

@@ -18,7 +18,8 @@ SLOW_SHARE = 0.5
 FILLED_SHARE = 0.8
 """Above this share of an agent's time its usual step explains how seldom it speaks."""
 LASTS_S = 10.0
-"""What was refused longer ago, with nothing since, is over."""
+"""What was refused longer ago, with nothing since, is over, and a process that began anew longer ago runs."""
+RESTARTED = "restarted"
 SETTLED_S = 5.0
 """Rates are over two seconds, and sources and models take as long to begin."""
 HOST_NEEDS = 2
@@ -87,6 +88,12 @@ def _presence(fare: Fare) -> Iterator[Wrong]:
         case s if s in (SILENT, NEVER):
             heard = f"{name} has been silent for {since}" if fare.health else f"{name} was never heard of"
             yield Wrong("silent", fare.name, f"{heard}: it hangs, has ended, or is cut off")
+        case _ if fare.restarts and fare.restarted_s <= LASTS_S:
+            often = "" if fare.restarts == 1 else f", {fare.restarts} times since this watch began"
+            anew = (
+                f"{name} began anew {span_of(fare.restarted_s)} ago{often}: its process had ended, and its log says why"
+            )
+            yield Wrong(RESTARTED, fare.name, anew, grave=False)
         case _:
             pass
 

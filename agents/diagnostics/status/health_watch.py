@@ -37,6 +37,7 @@ class Fare:
         silent_s: since then, or since its session was first seen, or the watch began, by the clock of this machine.
         present: whether its session is there, as the router tells; None where nobody asked.
         restarts: how often it began anew since the watch began.
+        restarted_s: since it was last heard to have begun anew, or was first heard.
         expected: whether the rig's configuration has it; and on which of its hosts, empty where that is not told.
         refused_s: since it was seen to refuse a message, or was first heard.
         refusing: whether it was seen to refuse one.
@@ -57,6 +58,7 @@ class Fare:
     leaves_out: frozenset[str] = frozenset()
     epoch: int | None = None
     replayed: bool = False
+    restarted_s: float = 0.0
 
     @property
     def state(self) -> str:
@@ -125,6 +127,7 @@ class HealthWatch:
                 refusing=seen or before.refusing,
                 leaves_out=frozenset(i.topic for i in health.inputs if i.dropped > known.get(i.topic, 0)),
                 epoch=epoch,
+                restarted_s=now_s if began or before.health is None else before.restarted_s,
             )
 
     def cut_off(self) -> None:
@@ -149,6 +152,7 @@ class HealthWatch:
                     fare,
                     silent_s=now_s - max(fare.silent_s, self._cut_off_s),
                     refused_s=now_s - fare.refused_s,
+                    restarted_s=now_s - fare.restarted_s,
                     replayed=fare.epoch in self._replays,
                 )
                 for fare in self._newest.values()

@@ -99,6 +99,14 @@ def test_an_agent_that_is_not_well_is_named_with_how(one, code, told):
     assert told in wrong.text
 
 
+def test_a_process_that_ended_and_was_started_again_is_told_for_a_while_though_all_is_well():
+    (note,) = judge(moment(fare(restarts=2, restarted_s=3.0)))
+    assert (note.code, note.about, note.grave) == ("restarted", "camera", False)
+    assert note.text.startswith("camera began anew 3 s ago, 2 times since this watch began: its process had ended")
+    assert judge(moment(fare(restarts=2, restarted_s=30.0))) == []
+    assert judge(moment(fare(restarts=0, restarted_s=3.0))) == []
+
+
 def test_nobody_misses_who_was_just_heard_or_what_no_configuration_has():
     for present in (True, False, None):
         assert judge(moment(fare(silent_s=0.5, present=present))) == []

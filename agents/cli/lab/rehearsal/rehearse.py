@@ -38,6 +38,7 @@ from agents.configuration.rig import RigConfig
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Layout
 from agents.deployment.units import NOT_OURS
+from agents.diagnostics.status.agents import RESTARTED
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.registry import Pace, with_pace
 from shared.clock import monotonic_s, now_ns
@@ -164,7 +165,8 @@ class Rehearsal:
                 well_s = past_s if well == 1 else well_s
                 if document["well"] and limit_s == inf:
                     said.clear()
-                for wrong in document["wrong"]:
+                restarted = [note for note in document["notes"] if note["code"] == RESTARTED]
+                for wrong in (*document["wrong"], *restarted):
                     if (kind := (wrong["code"], wrong["about"])) not in said:
                         said.add(kind)
                         tell(past_s, wrong["text"])
