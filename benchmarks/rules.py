@@ -69,7 +69,7 @@ class Options:
     renders: list[Path] = field(default_factory=list)
     """Folders that hold renders of tissue in their folder `renders`, such as ../shared/data."""
     thread_free: list[Path] = field(default_factory=list)
-    """Folders of path-traced scenes without thread, looked at as benchmarks/perception_empty.py does."""
+    """Folders of path-traced scenes without thread, looked at as benchmarks/thread_free.py does."""
     frames: int = 60
     """Thread-free ones."""
     only: str = ""

@@ -5,7 +5,7 @@
 - crossings: threads that cross themselves over tissue.
 - lab: needle drivers from their meshes, needles and rods over pads and phantoms.
 - thread-free: drawn tissue, rendered fields, and path-traced scenes again and again in other light, mirrored and turned
-  (benchmarks/perception_empty.py), half of them with needle drivers over pads and phantoms.
+  (benchmarks/thread_free.py), half of them with needle drivers over pads and phantoms.
 
 Without --seed a seed is drawn and told; scenes that lie in the folder already are not rendered again. The table belongs
 into the record whatever it says, and a set that was looked at is sealed no more.

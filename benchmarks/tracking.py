@@ -2,7 +2,7 @@
 
     .venv/bin/python -m benchmarks.tracking
 
-Renders sequences of a moving thread (benchmarks/sequences.py), reconstructs each frame alone and as the live agent
+Renders sequences of a moving thread (tests/rigs/sequences.py), reconstructs each frame alone and as the live agent
 would with tracking, prints a table and writes JSON. Times are those of one core, from observations to the curve, the
 least of some runs of each frame: by the clock on the wall, and as time of the processor, which grows less where others
 use the machine too.

@@ -72,6 +72,9 @@ GROUPS: dict[str, dict[str, Command]] = {
         "calibrate hand-eye": Command(
             "where an arm's base is before the camera", "calibrate.hand_eye_options:HandEye", "calibrate.hand_eye:run"
         ),
+        "calibrate jaw": Command(
+            "at which angle an instrument's jaw closes", "calibrate.jaw_options:Jaw", "calibrate.jaw:run"
+        ),
         "track-tool": Command(
             "how far an arm's tool is from where its joints have it",
             "recordings.options:TrackTool",

@@ -123,10 +123,23 @@ class _Rig(Settings):
                     "the robot's computer: docs/dvrk.md"
                 )
         for (one, its), (other, theirs) in itertools.combinations(arms.items(), 2):
+            if its.pedal and theirs.pedal and self._console(one, its) == self._console(other, theirs):
+                both = f"robot.{one} and robot.{other} both count the pedal of the console at {its.endpoint}"
+                raise ValueError(f"{both}: a foot stands by for one arm; leave pedal out of the other")
             apart = its.codec == theirs.codec == "rmw_zenoh" and its.domain != theirs.domain
             if its.arm == theirs.arm and self._console(one, its) == self._console(other, theirs) and not apart:
                 twice = f"robot.{one} and robot.{other} are both {its.arm} of the console at {its.endpoint}"
                 raise ValueError(f"{twice}: two bridges would fight over it; name another arm, or keep one")
+        return self
+
+    @model_validator(mode="after")
+    def _real_arms_are_seen_now(self) -> "_Rig":
+        films = (self.camera.left or "", self.camera.right or "") if self.camera is not None else ()
+        moved = [arm for arm, section in self.robot.items() if section.dvrk is not None and not section.dvrk.dry_run]
+        for address in films:
+            if "://" in address and moved:
+                unknown = f"camera films {address!r}, and what comes from an address may be seconds old unnoticed"
+                raise ValueError(f"{unknown}: before {moved[0]}, which is real, film by a device, or leave dry_run on")
         return self
 
     def _console(self, arm: str, dvrk: DvrkSection) -> tuple[str, str]:

@@ -19,9 +19,9 @@ from shared.runtime.session import LOCAL_ENDPOINT
 Label = Annotated[str, spelled(r"[A-Za-z0-9_.-]{1,64}", "up to 64 letters, digits, _ . and -, without spaces")]
 """An identifier of a lab's own; names of people have spaces, and their addresses an @."""
 Sha256 = Annotated[str, spelled(r"[0-9a-fA-F]{64}", "64 digits 0 to 9 and a to f, as sha256sum prints them")]
-CALIBRATION_DAYS, REGISTRATION_DAYS = 90.0, 30.0
-"""How old a camera's calibration, and an arm's registration, may be. Optics that nobody touches stay as they are for
-months; an arm's set-up joints are moved more often."""
+CALIBRATION_DAYS, REGISTRATION_DAYS, JAW_DAYS = 90.0, 30.0, 30.0
+"""How old a camera's calibration, an arm's registration, and that of its jaw may be. Optics that nobody touches stay as
+they are for months; an arm's set-up joints are moved, and its instruments changed, more often."""
 ENDPOINT = re.compile(r"(?:tcp|tls|quic|ws|udp)/.+:(?P<port>\d{1,5})")
 
 
@@ -163,7 +163,7 @@ class DvrkSection(Settings):
     tool: str = "LARGE_NEEDLE_DRIVER:400006"
     set_point_hz: float = Field(default=200.0, ge=50, le=500)
     through_guard: Literal[True] = True
-    has_no: tuple[Literal["teleoperation", "endoscope_arm", "clutch", "tissue"], ...] = ()
+    has_no: tuple[Literal["teleoperation", "endoscope_arm", "clutch", "set_up_joints", "tissue"], ...] = ()
     pedal: Literal["footpedals/operator_present", "console/operator_present"] | None = None
     dry_run: bool = True
 
@@ -179,7 +179,7 @@ class ArmSection(Settings):
     """What drives an arm, and where it stands; simulated psm1 and psm2 have a place without being told one.
 
     `T_camera_base_calibration` and `T_camera_base_made` say of which camera calibration the base is and when it was
-    registered, where it has no file that does.
+    registered, where it has no file that does. `jaw_file` says where the jaw of its instrument closes.
     """
 
     backend: Literal["simulated", "dvrk"] = "simulated"
@@ -196,6 +196,8 @@ class ArmSection(Settings):
     T_camera_base_calibration: Label | None = None
     T_camera_base_made: Day | None = None
     T_camera_base_days: float = Field(default=REGISTRATION_DAYS, gt=0, le=365)
+    jaw_file: Path | None = None
+    jaw_days: float = Field(default=JAW_DAYS, gt=0, le=365)
     kinematics: Path | None = None
     dvrk: DvrkSection | None = None
 

@@ -8,6 +8,9 @@ one each joint follows what it is told as a critically damped mass on a spring d
     x'' = ω² (told - x) - 2 ω x',    ω = 2 / lag,
 
 so that it comes behind a steady motion by the lag; solved as if what it is told stood still for each step.
+
+An instrument whose fingers touch at an angle of their own is measured there at least, and its effort grows with how far
+it would be beyond.
 """
 
 from collections.abc import Callable
@@ -28,6 +31,10 @@ MOVE_SHARE = 0.3
 _ALL_LIMITS = np.vstack((LIMITS, JAW_LIMITS))
 _ALL_SPEEDS = np.append(SPEEDS, JAW_SPEED)
 ARM, JAW = slice(0, 6), slice(6, 7)
+JAW_STIFFNESS = 0.5
+"""N m for each rad that the jaw is told beyond where its fingers touch."""
+HAND_RAD_S = 1.0
+"""How fast somebody at the console opens and closes the jaw."""
 
 
 def start_of(name: str) -> tuple[float, ...]:
@@ -44,14 +51,22 @@ class EmulatedArm:
         position: six joints and the jaw as measured, in radians and metres.
         goal: where it heads, which is what it was told last.
         stuck: it is blocked, and does not follow.
+        jaw_effort: in N m, with the sign of its direction.
     """
 
     def __init__(
-        self, ready: bool, warn: Callable[[str], None], start: tuple[float, ...] = START, lag_s: float = 0.0
+        self,
+        ready: bool,
+        warn: Callable[[str], None],
+        start: tuple[float, ...] = START,
+        lag_s: float = 0.0,
+        jaw_stop_rad: float = JAW_LIMITS[0],
     ) -> None:
-        """Stand still; `ready` is enabled and homed."""
+        """Stand still; `ready` is enabled and homed, and the fingers touch at `jaw_stop_rad`."""
         self.state, self.is_homed = (ENABLED, True) if ready else (DISABLED, False)
-        self.position = np.array((*start, 0.0))
+        self.position = np.array((*start, max(0.0, jaw_stop_rad)))
+        self._stops, self.jaw_effort = np.append(np.full(6, -np.inf), jaw_stop_rad), 0.0
+        self._jaw_by_hand: float | None = None
         self.goal, self.stuck = self.position.copy(), False
         self._told, self._velocity, self._lag_s = self.position.copy(), np.zeros(len(self.position)), lag_s
         self._warn, self._ratio = warn, 1.0
@@ -82,8 +97,11 @@ class EmulatedArm:
             self._velocity[:] = 0.0
             return False
         before = self.position
+        if self._jaw_by_hand is not None:
+            left = self._jaw_by_hand - self.goal[6]
+            self.goal[6] += np.clip(left, -HAND_RAD_S * elapsed_s, HAND_RAD_S * elapsed_s)
         self._told = self._told + self._on_the_way(elapsed_s)
-        self.position = self._following(elapsed_s) if self._lag_s > 0 else self._told
+        self.position = self._stopped(self._following(elapsed_s) if self._lag_s > 0 else self._told)
         return bool((np.abs(self.position - before) > _STILL).any())
 
     def _on_the_way(self, elapsed_s: float) -> np.ndarray:
@@ -93,7 +111,8 @@ class EmulatedArm:
             if self._moves[name]:
                 # along a line in joint space, as slowly as its slowest joint has to
                 slowest = float(np.max(np.abs(left[part]) / (reach[part] * MOVE_SHARE * self._ratio + _STILL)))
-                arrived = slowest <= 1 and np.abs(self.position[part] - self.goal[part]).max() <= _ARRIVED
+                there = np.maximum(self.goal[part], self._stops[part])
+                arrived = slowest <= 1 and np.abs(self.position[part] - there).max() <= _ARRIVED
                 self._moves[name] = not arrived
                 left[part] = left[part] / max(1.0, slowest)
         return np.clip(left, -reach, reach)
@@ -104,6 +123,11 @@ class EmulatedArm:
         push, left = self._velocity + omega * away, np.exp(-omega * elapsed_s)
         self._velocity = (self._velocity - omega * push * elapsed_s) * left
         return self._told + (away + push * elapsed_s) * left
+
+    def _stopped(self, position: np.ndarray) -> np.ndarray:
+        """Where the joints come with fingers that touch."""
+        self.jaw_effort = JAW_STIFFNESS * min(0.0, float(self._told[6] - self._stops[6]))
+        return np.maximum(position, self._stops)
 
     def head(self, name: str, values: np.ndarray, moving: bool) -> bool:
         """Head for joints of the `arm` or the `jaw`, by a trajectory of its own where `moving`; whether it does."""
@@ -117,11 +141,12 @@ class EmulatedArm:
             return False
         self.goal[part] = np.clip(values, self._limits[part, 0], self._limits[part, 1])
         self._moves[name] = moving
+        self._jaw_by_hand = None
         return True
 
     def hold(self) -> None:
         """Stay where it is."""
-        self.goal, self._told = self.position.copy(), self.position.copy()
+        self.goal, self._told, self._jaw_by_hand = self.position.copy(), self.position.copy(), None
         self._moves = dict.fromkeys(self._moves, False)
 
     def slow_down(self, ratio: float) -> None:
@@ -142,7 +167,7 @@ class EmulatedArm:
         if word == "home" and self.state == ENABLED:
             self._homing_s = HOMING_S
         elif state := following.get((word, self.state)):
-            self.state = state
+            self.state, self._homing_s = state, 0.0
             self.hold()
         else:
             self._warn(f"{word!r} was ignored: the arm is {self.state}")
@@ -150,6 +175,10 @@ class EmulatedArm:
     def drift(self, angle_rad: float) -> None:
         """Head for another yaw, as somebody at the console has it."""
         self.goal[0] += angle_rad
+
+    def jaw_by_hand(self, angle_rad: float) -> None:
+        """Have its jaw open or close to that angle, slowly, as somebody at the console has it."""
+        self._jaw_by_hand = float(np.clip(angle_rad, *JAW_LIMITS))
 
     def narrow(self, about_rad: float) -> None:
         """Have limits of its own for its jaw, so far about where that is."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from agents.dvrk_emulator import poses
 from agents.dvrk_emulator.arm import START, EmulatedArm
+from agents.dvrk_emulator.geometry import JAW_LIMITS
 from agents.dvrk_emulator.messages import (
     SECOND_NS,
     Bool,
@@ -35,6 +36,7 @@ RESTS_NS, PRESSES_EVERY_S = 500_000_000, 2.0
 STATE_HZ, TURNS_PER_STATE = 100.0, 2
 KEPT = 20_000
 STEP_M, DRIFT_RAD, NARROW_RAD = 0.005, 0.02, 0.01
+JAW_BY_HAND_RAD = {"open_jaw": 0.7, "close_jaw": -0.4}
 MOTIONS = {
     "servo_jp": ("arm", False),
     "move_jp": ("arm", True),
@@ -53,6 +55,7 @@ class Behaviour:
         lag_s: how far behind a steady motion its joints come; 0 for none.
         start: its joints to begin with.
         foot: somebody stands at it, and presses the operator's pedal anew for each motion.
+        jaw_stop_rad: where the fingers of its instrument touch.
         now_ns, monotonic_s: the clocks that it lives by.
     """
 
@@ -60,6 +63,7 @@ class Behaviour:
     lag_s: float = 0.0
     start: tuple[float, ...] = START
     foot: bool = False
+    jaw_stop_rad: float = JAW_LIMITS[0]
     now_ns: Callable[[], int] = clock.now_ns
     monotonic_s: Callable[[], float] = clock.monotonic_s
 
@@ -72,7 +76,8 @@ class EmulatedConsole:
         self._now_ns, self._monotonic_s = behaviour.now_ns, behaviour.monotonic_s
         self._lock = threading.Lock()
         self._foot, self._foot_s = behaviour.foot, 0.0
-        self._arm = EmulatedArm(behaviour.ready, self._warn, behaviour.start, behaviour.lag_s)
+        of_arm = behaviour.start, behaviour.lag_s, behaviour.jaw_stop_rad
+        self._arm = EmulatedArm(behaviour.ready, self._warn, *of_arm)
         self._told: tuple[object, ...] = ()
         self._times = {"moved_ns": 0, "set_point_ns": 0, "held_ns": 0}
         self._holds_ns: list[int] = []
@@ -150,7 +155,7 @@ class EmulatedConsole:
         `camera` and `setup` (endoscope and set-up joints move by STEP_M, `camera_back` and `setup_back` back again);
         `clutch` and `unclutch` (that pedal); `pedal` and `pedal_up` (the operator is there); `teleop`, `no_teleop`;
         `drift` (somebody at the console moves it by DRIFT_RAD, and tells nobody); `narrow` and `wide` (the jaw opens
-        and closes by NARROW_RAD alone, or as built).
+        and closes by NARROW_RAD alone, or as built); `open_jaw` and `close_jaw` (somebody at the console does).
         """
         with self._lock:
             if word == "fault":
@@ -159,6 +164,8 @@ class EmulatedConsole:
             self._outlets.muted = {"mute": True, "speak": False}.get(word, self._outlets.muted)
             if word == "drift":
                 self._arm.drift(DRIFT_RAD)
+            if word in JAW_BY_HAND_RAD:
+                self._arm.jaw_by_hand(JAW_BY_HAND_RAD[word])
             if word in ("narrow", "wide"):
                 self._arm.narrow(NARROW_RAD if word == "narrow" else np.inf)
             what, _, back = word.partition("_")
@@ -242,7 +249,8 @@ class EmulatedConsole:
         with self._lock:
             # a process that stalls after this tells late, and of the time when it was so
             at_ns, position, goal = self._now_ns(), self._arm.position.copy(), self._arm.goal.copy()
-        self._outlets.tell_where(at_ns, position, goal, self._moved_m)
+            effort = self._arm.jaw_effort
+        self._outlets.tell_where(at_ns, position, goal, effort, self._moved_m)
 
     def _say(self, topic: str, message: Any) -> None:
         self._outlets.say(topic, message)

@@ -57,18 +57,20 @@ class Outlets:
         if not self.muted and outlet.wanted():
             outlet.put(message.serialize(), self._now_ns())
 
-    def tell_where(self, at_ns: int, position: np.ndarray, goal: np.ndarray, moved_m: dict[str, float]) -> None:
+    def tell_where(
+        self, at_ns: int, position: np.ndarray, goal: np.ndarray, jaw_effort: float, moved_m: dict[str, float]
+    ) -> None:
         """Where the arm was at a time, and where it heads for; with the `camera` and `setup` moved so far aside."""
         at = header(at_ns)
-        for topic, values, names in (
-            ("measured_js", position[:6], JOINTS),
-            ("setpoint_js", goal[:6], JOINTS),
-            ("jaw/measured_js", position[6:], ["jaw"]),
-            ("jaw/setpoint_js", goal[6:], ["jaw"]),
+        none = [0.0] * len(JOINTS)
+        for topic, values, names, effort in (
+            ("measured_js", position[:6], JOINTS, none),
+            ("setpoint_js", goal[:6], JOINTS, none),
+            ("jaw/measured_js", position[6:], ["jaw"], [jaw_effort]),
+            ("jaw/setpoint_js", goal[6:], ["jaw"], [0.0]),
         ):
             if self._outlets[topic].wanted():
-                none = [0.0] * len(names)
-                self.say(topic, JointState(at, names, values.tolist(), none, none))
+                self.say(topic, JointState(at, names, values.tolist(), none[: len(names)], effort))
         for topic, joints, aside_m in (
             ("local/measured_cp", position, 0.0),
             ("measured_cp", position, moved_m["setup"]),

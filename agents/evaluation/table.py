@@ -177,7 +177,7 @@ def _compared(results: Results) -> list[str]:
 def _comparison(compared: Compared) -> str:
     both, first, second, neither = compared.pairs
     a, b = named(compared.first), named(compared.second)
-    pairs = f"both held {both}, the former alone {first}, the latter alone {second}, neither {neither}"
+    pairs = f"both held {both}, `{a}` alone {first}, `{b}` alone {second}, neither {neither}"
     p = "the two never differed" if compared.p_value is None else f"McNemar p = {compared.p_value:.2g}"
     gain = f"{100 * (compared.difference or 0.0):+.1f} %"
     drawn = "" if compared.over_threads is None else f", 95 % over threads {between(compared.over_threads, True)}"

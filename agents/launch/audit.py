@@ -23,9 +23,14 @@ class AuditError(RuntimeError):
 
 def audit_of(rig: RigConfig, name: str) -> "AuditLog":
     """The log of a process, such as `robot_bridge psm1`, on this host."""
+    return AuditLog(state_folder(rig) / FOLDER / f"{name.replace(' ', '-')}.jsonl")
+
+
+def state_folder(rig: RigConfig) -> Path:
+    """Where a process of this host keeps what it must know when it begins anew."""
     kept = os.environ.get(STATE_DIRECTORY)
     sessions = rig.recorder.folder if rig.recorder is not None else OTHERWISE
-    return AuditLog((Path(kept) if kept else sessions) / FOLDER / f"{name.replace(' ', '-')}.jsonl")
+    return Path(kept) if kept else sessions
 
 
 class AuditLog:

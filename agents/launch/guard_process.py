@@ -21,6 +21,7 @@ from agents.guard.__main__ import EXIT_LINK_BROKE
 from agents.launch.audit import AuditError, AuditLog, audit_of
 from agents.launch.host_facts import around
 from agents.launch.process import EXIT_GAVE_UP, EXIT_OK, on_stop
+from agents.robot_bridge.limits import PSM_JOINT_SPEEDS, MotionLimits
 from schemas.messages import Heartbeat
 from schemas.topics import HEARTBEAT, key
 from schemas.wire import PACKAGE, descriptors_of
@@ -117,10 +118,10 @@ def document_of(rig: RigConfig, arm: str, section: DvrkSection) -> dict[str, Any
 
 
 def description_of(arm: str, section: DvrkSection) -> dict[str, Any]:
-    """The robot's limits and speeds: joints in their order, then the jaw."""
-    psm = LARGE_NEEDLE_DRIVER
-    joints = zip(psm.limits.tolist(), psm.max_speeds.tolist(), strict=True)
-    axes = [[*limits, speed] for limits, speed in joints] + [[*map(float, psm.jaw_limit), float(psm.jaw_max_speed)]]
+    """The robot's limits, and speeds that no motion of ours needs more of: joints in their order, then the jaw."""
+    psm, ours = LARGE_NEEDLE_DRIVER, MotionLimits()
+    axes = [[*limits, speed] for limits, speed in zip(psm.limits.tolist(), PSM_JOINT_SPEEDS, strict=True)]
+    axes.append([*map(float, psm.jaw_limit), ours.jaw_speed / ours.joint_share])
     rate = {"rate_hz": section.set_point_hz, "pedal": section.pedal is not None}
     return {"arm": arm, "console": section.arm, "axes": axes} | rate
 

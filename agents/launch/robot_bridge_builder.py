@@ -6,18 +6,21 @@ import numpy as np
 
 from agents.configuration.base_file import base_of, registered_ns
 from agents.configuration.hosts import run_name
+from agents.configuration.jaw_file import jaw_zero_of
 from agents.configuration.rig import ArmSection, RigConfig
 from agents.launch.other_arms import other_arm
 from agents.registry import TOOL_TRACKER
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.correction import CorrectionLimits
-from agents.robot_bridge.limits import MotionLimits
+from agents.robot_bridge.limits import PSM_JOINT_SPEEDS, MotionLimits
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
 from schemas.topics import ROBOT_STATE
 from shared.calibration.hand_eye.file import Reference
 from shared.runtime.session import SessionSettings
 
 RESTING_HZ = ROBOT_STATE.resting_hz or 5.0
+REGISTERED = "registered"
+"""The folder of what has moved since an arm was registered."""
 LOOKED_AT_HZ = 10.0
 """Turns of an arm at rest whose instrument is looked for: a look waits for a state that is as new as its frame."""
 
@@ -36,13 +39,15 @@ def built_robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBr
         T_camera_base,
         resting_hz=LOOKED_AT_HZ if arm in rig.arms_of(TOOL_TRACKER) else RESTING_HZ,
         maximum_plan_age_s=section.maximum_plan_age_s,
-        limits=MotionLimits().slowed(section.speed_share),
+        limits=MotionLimits(joint_speeds=None if section.kinematics else PSM_JOINT_SPEEDS).slowed(section.speed_share),
         correction=correction_limits(section),
         calibration_id=base.calibration_id,
         maximum_frame_age_s=section.maximum_frame_age_s,
         maximum_motion_s=section.maximum_motion_s,
         registered_ns=registered_ns(section) or 0,
         registration_days=section.T_camera_base_days,
+        jaw_zero=jaw_zero_of(arm, section),
+        jaw_days=section.jaw_days,
         tissue_needed=section.dvrk is not None and "tissue" not in section.dvrk.has_no,
     )
     if section.kinematics is not None:
@@ -51,14 +56,19 @@ def built_robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBr
     if section.dvrk is None:
         return RobotBridge(config, SimulatedPsm(waiting(T_camera_base)))
     # reading ROS messages takes as long to load as all else
-    from agents.launch.audit import audit_of
+    from agents.launch.audit import audit_of, state_folder
     from agents.launch.audited_bridge import AuditedBridge
     from agents.launch.guard_process import naming_of
+    from agents.robot_bridge.dvrk.frames_moved import Since
     from agents.robot_bridge.dvrk.psm import DvrkPsm
 
     told = section.dvrk
+    registration = f"{base.reference.name} {config.registered_ns} {base.calibration_id} {np.ravel(base.T).tolist()}"
+    since = Since(state_folder(rig) / REGISTERED / f"{arm}.json", registration)
     reached = SessionSettings(rig.rig, told.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
-    backend = DvrkPsm(told.arm, reached, naming_of(told), told.tool, told.dry_run, base=base, has_no=told.has_no)
+    backend = DvrkPsm(
+        told.arm, reached, naming_of(told), told.tool, told.dry_run, base=base, has_no=told.has_no, since=since
+    )
     audit = audit_of(rig, run_name("robot_bridge", arm))
     return AuditedBridge(dataclasses.replace(config, tick_hz=told.set_point_hz), backend, audit)
 

@@ -245,8 +245,16 @@ def hold(connection: Connection, arm: str) -> CommandAnswer:
 
 
 def change_state(connection: Connection, arm: str, word: StateWord) -> CommandAnswer:
-    """Have the console of a real arm that is disarmed change its state; homing moves the arm."""
-    return connection.command(CHANGE_STATE, ChangeState(new_header(SENDER), arm, word), arm)
+    """Have the console of a real arm that is disarmed change its state; homing moves the arm.
+
+    A process proves nobody's presence: but to stop it, the console's pedal must be pressed beside it.
+    """
+    bridge = _Told(arm)
+    with connection.listening((ROBOT_STATE,), bridge.take):
+        bridge.first(CHALLENGED_S)
+        state = bridge.state()
+        challenge_ns = 0 if state is None else state.challenge_ns
+        return connection.command(CHANGE_STATE, ChangeState(new_header(SENDER), arm, word, challenge_ns), arm)
 
 
 def prompt(connection: Connection, pixel: Float64[np.ndarray, "2"] | None) -> CommandAnswer:

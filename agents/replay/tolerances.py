@@ -150,6 +150,10 @@ _ROBOT: dict[str, Rule] = {
     "T_base_tool": Rule(1e-6, "m or 1"),
     "joints": Rule(1e-6, "rad or m"),
     "jaw_rad": Rule(1e-6, "rad"),
+    "jaw_zero_rad": Rule(ignored="of the instrument of a real arm, which no replay reaches"),
+    "jaw_set_point_rad": Rule(ignored="likewise"),
+    "jaw_effort": Rule(ignored="likewise"),
+    "instrument": Rule(ignored="likewise"),
 }
 
 _FIELD: dict[str, Rule] = {

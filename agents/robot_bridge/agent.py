@@ -25,10 +25,11 @@ from agents.robot_bridge.plans import (
     Plans,
     Refusal,
     other_arm,
+    taken_ns,
     untimely,
     wrong_frame,
 )
-from agents.robot_bridge.state_changes import StateChanges
+from agents.robot_bridge.state_changes import HOMING, StateChanges
 from schemas.messages import (
     Arm,
     ChangeState,
@@ -40,6 +41,7 @@ from schemas.messages import (
     Phase,
     ReplayClock,
     RobotState,
+    StateWord,
     Status,
     TissueSurface,
     ToolCorrection,
@@ -67,6 +69,10 @@ RESTS_AFTER_S = 1.0
 REPLAY_OVER_S = 2.0
 """A replay that was not heard for so long is over."""
 UNTOLD = "the arm could not be told yet: it is told again in each turn, and the guard beside it lets nothing pass"
+HELD_MEANWHILE = Refusal(
+    Code.HOLD_COMMAND,
+    "somebody said hold at the console since whoever arms last heard of the arm: look, then arm again",
+)
 MOST_SEGMENTS = 8
 """Of a chained motion, which whoever arms it may only make fewer."""
 
@@ -202,6 +208,7 @@ class RobotBridge(Agent):
 
     def _turn(self, now_ns: int) -> list[Output]:
         elapsed_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) * 1e-9
+        self._know_nothing_of_before(now_ns)
         self._now_ns = now_ns
         arm = self._stands.measure(now_ns)
         if self._execution or (arm and self._stands.measured.has_moved(arm)):
@@ -210,6 +217,18 @@ class RobotBridge(Agent):
         if self._execution:
             events += self._carry_on(self._execution, arm, now_ns, elapsed_s)
         return [Output(ROBOT_STATE, self._told(arm, now_ns)), *events] if arm and (self._tells() or events) else events
+
+    def _know_nothing_of_before(self, now_ns: int) -> None:
+        """A real arm's bridge that begins knows not what its jaws hold; one whose clock was set back, not what is old.
+
+        What is kept of the planner's and the camera's comes again as soon as a bridge is there, however old it is.
+        """
+        if self._now_ns is None and self._backend.is_real:
+            self._plans.begins(now_ns)
+        elif self._now_ns is not None and now_ns < self._now_ns:
+            self._plans.begins(now_ns)
+            self._sight.hear(None)
+            self._stands.forget_tissue()
 
     def _tells(self) -> bool:
         """Whether the state is told in this turn; where set points go out faster than it, not in each."""
@@ -223,6 +242,9 @@ class RobotBridge(Agent):
         if why or arm is None:
             return self.stop(why or UNMEASURED, now_ns)
         rested = execution.ended_ns is not None
+        if not execution.let_through:
+            # it stays at its first set point: what goes on before anything passes, the arm would make up for at once
+            execution.let_through = self._backend.lets_through(execution.arming_id)
         following = execution.next(arm, now_ns, elapsed_s, self.config.ratio)
         if following is None:
             return []
@@ -293,7 +315,7 @@ class RobotBridge(Agent):
         execution = self._execution
         if execution is None or execution.ended_ns is None or plan.continues != execution.plan_id:
             return []
-        planned = self._next_segment(execution, plan, now_ns)
+        planned = self._plans.unusable(plan.plan_id) or self._next_segment(execution, plan, now_ns)
         if isinstance(planned, Refusal):
             return self.stop(planned, now_ns)
         execution.follow(plan, planned)
@@ -305,10 +327,7 @@ class RobotBridge(Agent):
         if execution.segment >= execution.segments:
             most = f"it was armed for {execution.segments} segments at most"
             return Refusal(Code.SEGMENT, f"{most}, and more are needed: let it go faster, or arm again")
-        if plan.status is not Status.OK:
-            return Refusal(Code.REJECTED_PLAN, f"the planner rejected the next segment: {plan.reason}")
-        seen_ns = plan.stamp.echo_of(self.config.arm) or min(plan.stamp.capture_left_ns, plan.stamp.capture_right_ns)
-        if seen_ns < ended_ns:
+        if taken_ns(plan.stamp, self.config.arm) < ended_ns:
             return Refusal(Code.SEGMENT, "the next segment was planned from a frame of before the last one ended")
         if arm is None:
             return UNMEASURED
@@ -333,16 +352,20 @@ class RobotBridge(Agent):
         said = message.word.name.lower() if isinstance(message, ChangeState) else "hold"
         held = self.stop(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said {said}"), command.now_ns)
         if not isinstance(message, ChangeState):
+            if self._states.awaited == HOMING:
+                # a console goes on homing by itself: what stops that is a state
+                self._backend.change_state(StateWord.PAUSE, command.now_ns)
             return [accepted(message.header.id, "" if self._told_to_hold else UNTOLD), *held]
         return [self._states.answer(message, command.now_ns, self.config.ratio), *held]
 
     def _answer_arm(self, command: Command, message: Arm) -> list[Output | CommandAnswer]:
         armed, of = self._arm(command, message), (message.plan_id, message.header.id)
+        if isinstance(armed, Execution) and not self._backend.rearm(message.challenge_ns):
+            armed = HELD_MEANWHILE
         if isinstance(armed, Refusal):
             event = event_of(self.config.arm, *of, ExecutionKind.REFUSED, command.now_ns, armed)
             return [refused(message.header.id, armed), event]
         self._execution, self._holding, self._unconfirmed = armed, False, False
-        self._backend.rearm()
         event = event_of(self.config.arm, *of, ExecutionKind.ACCEPTED, command.now_ns)
         return [accepted(message.header.id), event]
 
@@ -356,7 +379,9 @@ class RobotBridge(Agent):
         if self._execution:
             return refused(of, self._busy())
         self._now_ns = command.now_ns
-        self._stands.measure(command.now_ns)
+        arm = self._stands.measure(command.now_ns)
+        if self._backend.is_real and (why := self._nobody(message, arm, command.now_ns)):
+            return refused(of, why)
         return self._states.answer(message, command.now_ns, self.config.ratio)
 
     def _arm(self, command: Command, message: Arm) -> Execution | Refusal:
@@ -366,7 +391,7 @@ class RobotBridge(Agent):
             return refusal
         if command.now_ns < self._replay_over_ns:
             return REPLAYED
-        plan = self._busy() if self._execution else self._plans.find(message.plan_id)
+        plan = self._busy() if self._execution or self._states.awaited else self._plans.find(message.plan_id)
         if isinstance(plan, Refusal):
             return plan
         if self._now_ns is not None:
@@ -376,7 +401,8 @@ class RobotBridge(Agent):
         arm, why = self._stands.measured.state, self._stands.refusal(command.now_ns)
         if why or arm is None or self._now_ns is None:
             return why or UNMEASURED
-        planned = self._planned(plan, arm, command.now_ns, min(max(1, message.segments), MOST_SEGMENTS))
+        message = dataclasses.replace(message, segments=min(max(1, message.segments), MOST_SEGMENTS))
+        planned = self._planned(plan, arm, command.now_ns, message.segments)
         if isinstance(planned, Refusal):
             return planned
         if self._backend.dry_run:
@@ -385,7 +411,8 @@ class RobotBridge(Agent):
         if why := self._nobody(message, arm, command.now_ns):
             return why
         patience = Patience(self.config.first_heartbeat_s, self.config.dead_man_s, self.config.maximum_motion_s)
-        return Execution(message, plan, planned, self._now_ns, patience, self._backend.kinematics)
+        of_arm = self._backend.kinematics, self._stands.setup.jaw
+        return Execution(message, plan, planned, self._now_ns, patience, *of_arm)
 
     def _planned(self, plan: GraspPlan, arm: ArmState, now_ns: int, segments: int) -> Trajectory | Refusal:
         """The motion of a plan from where the arm is, or what speaks against plan, moment or motion."""
@@ -402,10 +429,10 @@ class RobotBridge(Agent):
             return refusal
         return plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, setup, segments)
 
-    def _nobody(self, message: Arm, arm: ArmState, now_ns: int) -> Refusal | None:
-        """Why whoever arms does not stand by as this arm needs it; None where they do, as far as that can be told."""
-        if self._backend.is_real and not message.pressed and not arm.pedal:
-            alone = "a process that beats by itself arms no real arm"
+    def _nobody(self, message: Arm | ChangeState, arm: ArmState | None, now_ns: int) -> Refusal | None:
+        """Why whoever asks does not stand by as this arm needs it; None where they do, as far as that can be told."""
+        if self._backend.is_real and not message.pressed and not (arm and arm.pedal):
+            alone = "a process by itself has no real arm move"
             return Refusal(
                 Code.NO_PRESENCE, f"{alone}: press the page's button, or the console's operator-present pedal anew"
             )
@@ -413,16 +440,17 @@ class RobotBridge(Agent):
             return None
         behind_ns = self._challenges.behind_ns(message.challenge_ns, now_ns)
         if behind_ns is None:
-            unheard = "whoever arms has heard no challenge of this bridge, or one of long ago"
-            return Refusal(Code.ROUND_TRIP, f"{unheard}: see to the network between them, then arm again")
+            unheard = "whoever asks has heard no challenge of this bridge, or one of long ago"
+            return Refusal(Code.ROUND_TRIP, f"{unheard}: see to the network between them, then ask again")
         if behind_ns <= self.config.dead_man_s * 1e9:
             return None
-        took = f"from the bridge to whoever arms and back it takes {1e-6 * behind_ns:.0f} ms"
+        took = f"from the bridge to whoever asks and back it takes {1e-6 * behind_ns:.0f} ms"
         allowed = f"{1e3 * self.config.dead_man_s:.0f} ms are allowed"
         return Refusal(Code.ROUND_TRIP, f"{took}, and {allowed}: see to the network between them")
 
     def _busy(self) -> Refusal:
-        carries_out = f"the arm carries out plan {self._execution.plan_id}" if self._execution else ""
+        does = f"its console was told to {self._states.awaited}, and has not said that it has"
+        carries_out = f"the arm carries out plan {self._execution.plan_id}" if self._execution else does
         return Refusal(Code.BUSY, f"{carries_out}: let it end, or say hold, before arming")
 
     def _told(self, arm: ArmState, now_ns: int) -> RobotState:

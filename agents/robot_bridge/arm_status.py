@@ -16,14 +16,19 @@ import dataclasses
 import logging
 from collections import deque
 
+import numpy as np
+
 from agents.robot_bridge.backend import ArmState, Backend
 from agents.robot_bridge.config import RobotBridgeConfig
 from agents.robot_bridge.correction import Correcting
+from agents.robot_bridge.jaw import Jaw
 from agents.robot_bridge.limits import Setup
 from agents.robot_bridge.measuring import Measuring
-from agents.robot_bridge.plans import Code, Refusal
-from schemas.messages import FrameStamp, GraspPlan, TissueSurface, ToolCorrection
+from agents.robot_bridge.plans import Code, Refusal, taken_ns
+from agents.robot_bridge.tissue import measured_at
+from schemas.messages import FrameStamp, GraspPlan, Phase, TissueSurface, ToolCorrection
 
+CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP)
 DAY_NS = 86_400_000_000_000
 
 
@@ -41,7 +46,8 @@ class Standing:
         self.measured = Measuring(backend, log)
         self.registered, self.corrected = config.T_camera_base, False
         limits = dataclasses.replace(config.limits, maximum_duration_s=config.maximum_motion_s)
-        self.setup = Setup(backend.kinematics, config.T_camera_base, limits, 1 / config.tick_hz)
+        jaw = Jaw.calibrated(config.jaw_zero)
+        self.setup = Setup(backend.kinematics, config.T_camera_base, limits, 1 / config.tick_hz, jaw=jaw)
         self._config = config
         self._correcting = Correcting(config.correction)
         self._surface: TissueSurface | None = None
@@ -58,6 +64,10 @@ class Standing:
         if base is not self.setup.T_camera_base:
             self.setup = dataclasses.replace(self.setup, T_camera_base=base)
         return arm
+
+    def forget_tissue(self) -> None:
+        """What was seen of the tissue is of another time."""
+        self._surface = None
 
     def hear(self, told: TissueSurface | ToolCorrection, armed: bool) -> None:
         """Take the newest tissue, or the newest correction; while a plan is armed the base stays where it is."""
@@ -102,20 +112,40 @@ class Standing:
                 Code.UNKNOWN,
                 f"{old}: register it anew (docs/camera.md)",
             )
+        if why := self._jaw_unknown("" if state is None else state.instrument, now_ns):
+            return Refusal(Code.UNKNOWN, f"{why}: calibrate it anew with suturegrasp calibrate jaw (docs/dvrk.md)")
         if state is not None and state.untold:
             what, remedy = state.untold[0]
             return Refusal(Code.UNKNOWN, f"{what}: {remedy}")
-        if config.tissue_needed and (setup.surface is None or not setup.surface.valid.any()):
-            why = "where the tissue is was not measured, or too long ago"
+        contact = [one.T_camera_tool for one in plan.waypoints if one.phase in CONTACT]
+        surface = setup.surface
+        if config.tissue_needed and (surface is None or (contact and not measured_at(surface, np.stack(contact)))):
+            why = "where the tissue is was not measured at the thread, or too long ago"
             return Refusal(Code.UNKNOWN, f"{why}: see that perception sees it, or say has_no = ['tissue']")
         return None
+
+    def _jaw_unknown(self, mounted: str, now_ns: int) -> str:
+        """Why a calibration of the jaw is none of now, or of the instrument that is mounted; empty where it is."""
+        zero, allowed = self._config.jaw_zero, self._config.jaw_days
+        if zero is None:
+            return ""
+        if mounted and mounted != zero.instrument:
+            return f"the jaw was calibrated with {zero.instrument}, and {mounted} is mounted"
+        if not zero.made_ns:
+            return "nobody says when the jaw was calibrated"
+        days = (now_ns - zero.made_ns) / DAY_NS
+        if -1 <= days <= allowed:
+            return ""
+        when = f"{days:.0f} days ago, and {allowed:g} are allowed" if days > 0 else f"{-days:.0f} days ahead of now"
+        return f"the jaw was calibrated {when}"
 
     def with_tissue(self, now_ns: int, maximum_age_s: float) -> Setup:
         """With the tissue as it was seen last, where that is no older than that and nothing was moved since."""
         surface = self._surface
-        if surface is None or now_ns - surface.stamp.capture_left_ns > maximum_age_s * 1e9:
+        if surface is None:
             return self.setup
-        if surface.stamp.capture_left_ns < self._still_since_ns:
+        seen_ns = taken_ns(surface.stamp, self._config.arm)
+        if now_ns - seen_ns > maximum_age_s * 1e9 or seen_ns < self._still_since_ns:
             return self.setup
         return dataclasses.replace(self.setup, surface=surface)
 
@@ -140,8 +170,8 @@ class Sight:
         self._arm, self._is_real = arm, is_real
         self._newest: FrameStamp | None = None
 
-    def hear(self, stamp: FrameStamp) -> None:
-        """A frame was taken."""
+    def hear(self, stamp: FrameStamp | None) -> None:
+        """A frame was taken; None where none of before counts any more."""
         self._newest = stamp
 
     def refusal(self, now_ns: int, maximum_age_s: float) -> Refusal | None:
@@ -157,7 +187,8 @@ def too_old(stamp: FrameStamp, arm: str, is_real: bool, now_ns: int, maximum_age
     echo_ns = stamp.echo_of(arm)
     if echo_ns == 0 and is_real:
         blind = f"{what} echoes no challenge of {arm}, so that nobody knows how old it is"
-        return Refusal(Code.FRAME_AGE, f"{blind}: see that the camera's agent hears the bridge of {arm}")
+        remedy = f"see that the camera's agent hears the bridge of {arm}, and that its picture is not always the same"
+        return Refusal(Code.FRAME_AGE, f"{blind}: {remedy}")
     since_ns = echo_ns or min(stamp.capture_left_ns, stamp.capture_right_ns)
     age_s = (now_ns - since_ns) * 1e-9
     if echo_ns and age_s < 0:

@@ -33,6 +33,9 @@ class ArmState:
         guard_challenge: the newest number of the guard beside its console; 0 where it has none.
         pedal: its console's operator-present pedal is pressed, as the guard tells it.
         untold: what a real arm needs to be told before it may be armed and was not, each with what to do, by its name.
+        jaw_set_point_rad, jaw_effort: where its console has the jaw head, and with which effort; None where it does not
+            tell. Nothing is decided by them.
+        instrument: the tool that its console has on it; empty where it does not tell.
     """
 
     measured_ns: int
@@ -47,6 +50,9 @@ class ArmState:
     guard_challenge: int = 0
     pedal: bool = False
     untold: tuple[tuple[str, str], ...] = ()
+    jaw_set_point_rad: float | None = None
+    jaw_effort: float | None = None
+    instrument: str = ""
 
 
 class Backend(Protocol):
@@ -73,6 +79,10 @@ class Backend(Protocol):
         """Take a new set point of an arming, a tick's way from the measured one; after `halt` none, until `rearm`."""
         ...
 
+    def lets_through(self, arming_id: str) -> bool:
+        """Whether set points of this arming reach the arm, as far as is known."""
+        ...
+
     def finish(self, arming_id: str) -> None:
         """Note that the motion of an arming has ended as it should."""
         ...
@@ -90,8 +100,12 @@ class Backend(Protocol):
         """Whether it was halted since it was armed last."""
         ...
 
-    def rearm(self) -> None:
-        """Take set points again: a plan was armed after the last halt."""
+    def rearm(self, asked_ns: int) -> bool:
+        """Take set points again, of a plan that was armed after the last halt; False where somebody said hold since.
+
+        Args:
+            asked_ns: the challenge that whoever arms had heard: they know nothing of what came after it.
+        """
         ...
 
     @property

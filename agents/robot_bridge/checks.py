@@ -86,7 +86,8 @@ def excess_speed(poses: Poses, joints: Float64[np.ndarray, "n 6"], share: float,
     v = np.diff(poses.T_base_tool[:, :3, 3], axis=0) / period_s
     turned = log_so3(np.swapaxes(R[:-1], -1, -2) @ R[1:]) / period_s
     jaw = np.diff(poses.jaw_rad)[:, None] / period_s
-    joint_shares = np.abs(np.diff(joints, axis=0)).max(axis=0) / period_s / kinematics.max_speeds
+    joint_speeds = np.minimum(kinematics.max_speeds, np.inf if limits.joint_speeds is None else limits.joint_speeds)
+    joint_shares = np.abs(np.diff(joints, axis=0)).max(axis=0) / period_s / joint_speeds
     jaw_speed = min(limits.jaw_speed, kinematics.jaw_max_speed)
     bounds = (
         (v, share * limits.speed, limits.acceleration, limits.jerk),

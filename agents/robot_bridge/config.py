@@ -10,6 +10,7 @@ from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S, MotionLimits
 from schemas.checks import MessageError
 from schemas.messages.grasping import check_pose
 from schemas.topics import ROBOT_STATE
+from shared.calibration.jaw.file import JawZero
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.parameters import Between, settable
 
@@ -39,6 +40,7 @@ class RobotBridgeConfig:
             turn of a motion sends a set point.
         calibration_id: of the camera calibration in whose rectified frame the base is told; empty where nobody says.
         correction: how far perception may correct where the base is, by its tool in the images; None where it may not.
+        jaw_zero, jaw_days: where the jaw of its instrument closes, None where nobody calibrated that; for how long.
     """
 
     arm: str = "psm1"
@@ -58,6 +60,8 @@ class RobotBridgeConfig:
     limits: MotionLimits = field(default_factory=MotionLimits)
     correction: CorrectionLimits | None = None
     calibration_id: str = ""
+    jaw_zero: JawZero | None = None
+    jaw_days: float = 30.0
 
     def __post_init__(self) -> None:
         try:
@@ -65,7 +69,7 @@ class RobotBridgeConfig:
         except MessageError as error:
             raise RobotBridgeError(str(error)) from error
         seconds = ("dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "maximum_frame_age_s", "maximum_motion_s")
-        for name in (*seconds, "ratio", "tick_hz", "resting_hz", "registration_days"):
+        for name in (*seconds, "ratio", "tick_hz", "resting_hz", "registration_days", "jaw_days"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise RobotBridgeError(f"{name} must be positive and finite, not {getattr(self, name)}")
         if self.ratio > 1:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Code, Refusal
+from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Code, Refusal, taken_ns
 from schemas.messages import ToolCorrection, ToolStatus
 from shared.rigid_transforms import angle_between, apply, inverse, nearest_rotation
 
@@ -53,7 +53,7 @@ class Correcting:
         self._last = told
         usable = told.T_correction is not None and self._doubt(told) is None
         if usable:
-            self._usable_ns = told.stamp.capture_left_ns
+            self._usable_ns = taken_ns(told.stamp, told.arm)
         if not armed:
             if usable and told.T_correction is not None:
                 self._applied = told.T_correction

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState
+from agents.robot_bridge.jaw import ARRIVED_RAD, UNCALIBRATED, Jaw, stays_open
 from agents.robot_bridge.motion import Trajectory, contact_joints, segment_end
 from agents.robot_bridge.plans import Code, Refusal
 from schemas.messages import Arm, GraspPlan, Phase
@@ -16,12 +17,18 @@ LONGEST_STEP_PERIODS = 2
 """After a late tick the motion goes on where it was, and does not make up for lost time."""
 RATIO_PER_S = 2.0
 """How fast the share of the planned speed changes: from all to half of it in a quarter of a second."""
-FOLLOWING_M, FOLLOWING_RAD, FOLLOWING_JAW_RAD = 0.005, 0.2, 0.3
-"""Farther than this from where the arm is measured, no set point is sent; that of the jaw is as far as it goes at its
-greatest speed while the tool turns by its angle at its own."""
-ARRIVED_M, ARRIVED_RAD = 5e-4, 0.02
+FOLLOWING_M, FOLLOWING_RAD = 0.005, 0.2
+"""Farther than this from where the arm is measured, no set point is sent."""
+ARRIVED_M = 5e-4
 ARRIVAL_S = 1.0
-"""How long an arm may take to come to rest where it should."""
+"""How long an arm may take to come to rest where it should, and its jaw to be closed there."""
+OPENS_S = 0.15
+"""For how long a jaw that was closed may be measured open: as long as one takes that follows FOLLOWING_JAW_RAD behind,
+at its greatest speed (2 rad/s)."""
+CLOSED = (Phase.GRASP, Phase.RETREAT)
+"""Phases that end with a closed jaw, where the plan has it closed."""
+NOT_FOLLOWING = Refusal(Code.NOT_FOLLOWING, "the arm does not follow its set points: it may be blocked, or pushed")
+KEPT_BACK = Refusal(Code.NO_GUARD, "the guard lets no set point of this arming pass: see what it says, then arm again")
 SEGMENT_WAIT_S = 10.0
 """How long an arm rests between two segments for a plan from a fresh image; whoever stands by may give up before."""
 
@@ -57,6 +64,7 @@ class Execution:
         plans: the ids of those of all segments.
         pressed: by the page's button.
         moving: a heartbeat has come, so that set points follow.
+        let_through: set points reach the arm; until then it is sent where it is.
         segment: the how many-th of a chain, from 1 on, of at most `segments`.
         ended_ns: since when it rests at the end of a segment that is not the last; None while it does not.
     """
@@ -69,12 +77,13 @@ class Execution:
         armed_ns: int,
         patience: Patience,
         kinematics: ArmKinematics,
+        jaw: Jaw = UNCALIBRATED,
     ) -> None:
         """Arm a plan; nothing moves before the first heartbeat."""
         self.arming_id = armed.header.id
         self.pressed, self.segments, self.segment = armed.pressed, max(1, armed.segments), 0
-        self.moving = False
-        self._patience, self._kinematics = patience, kinematics
+        self.moving, self.let_through, self._kept_back_s = False, False, 0.0
+        self._patience, self._kinematics, self._jaw = patience, kinematics, jaw
         self._alive_ns, self._beat_at_ns = armed_ns, 0
         self._late_ns: int | None = None
         self.plans = set[str]()
@@ -90,6 +99,7 @@ class Execution:
         self._began_ns: int | None = None
         self._progress_s: float | None = None
         self._stop, self._waited_s, self._ratio = 0, 0.0, 1.0
+        self._explained_rad, self._open_s = self._jaw.explained_rad(plan), 0.0
 
     @property
     def touched(self) -> bool:
@@ -143,10 +153,13 @@ class Execution:
                 Code.SEGMENT, f"{silent}: see that the thread is seen and planned for, then set a goal again"
             )
         reached = self._go_on(arm, elapsed_s, ratio, now_ns)
+        if self._kept_back_s > ARRIVAL_S:
+            return KEPT_BACK
         joints, jaw_rad = self._trajectory.at(self._progress_s or 0.0)
-        near = self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD) and _jaw_follows(arm.jaw_rad, jaw_rad)
-        if self._waited_s > ARRIVAL_S or not near:
-            return Refusal(Code.NOT_FOLLOWING, "the arm does not follow its set points: it may be blocked, or pushed")
+        if why := self._jaw_strays(arm, jaw_rad, elapsed_s):
+            return why
+        if self._waited_s > ARRIVAL_S or not self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD):
+            return NOT_FOLLOWING
         if self._stop > self._last and self._stop < len(self._trajectory.stops) and self.ended_ns is None:
             self.ended_ns = now_ns
         return SetPoint(joints, jaw_rad, reached, finished=self._stop == len(self._trajectory.stops))
@@ -168,6 +181,8 @@ class Execution:
         """Go towards the next stop, which the first set point, where the trajectory begins, does not yet."""
         if self._progress_s is None:
             self._progress_s, self._ratio = 0.0, ratio
+        elif not self.let_through:
+            self._kept_back_s += elapsed_s
         elif self.ended_ns is not None:
             return ()
         elif self._progress_s < self._stop_s():
@@ -182,11 +197,13 @@ class Execution:
 
     def _reached(self, arm: ArmState, elapsed_s: float, now_ns: int) -> tuple[Phase, ...]:
         """The phases that end here, where the arm has been sent already, once it has arrived."""
-        joints, _ = self._trajectory.at(self._stop_s())
+        joints, jaw_rad = self._trajectory.at(self._stop_s())
         self._waited_s += elapsed_s
         # as it was measured before it was sent here it may have come by on its way
         since_ns = now_ns - round(self._waited_s * 1e9)
         if arm.busy or arm.measured_ns < since_ns or not self._near(arm, joints, ARRIVED_M, ARRIVED_RAD):
+            return ()
+        if self._closes_here and self._is_open(arm, jaw_rad):
             return ()
         here_s, self._waited_s, reached = self._stop_s(), 0.0, list[Phase]()
         while self._stop < len(self._trajectory.stops) and self._stop_s() == here_s:
@@ -194,6 +211,31 @@ class Execution:
             reached += [phase] if phase else []
             self._stop += 1
         return tuple(reached)
+
+    def _jaw_strays(self, arm: ArmState, jaw_rad: float, elapsed_s: float) -> Refusal | None:
+        """Why to hold where the jaw does not follow; where it was told to close and has not, or has opened since."""
+        follows, is_open = self._jaw.follows(arm.jaw_rad, jaw_rad), self._is_open(arm, jaw_rad)
+        self._open_s = self._open_s + elapsed_s if is_open and self._closed else 0.0
+        late = self._open_s > OPENS_S or (self._closes_here and self._waited_s > ARRIVAL_S)
+        if is_open and (late or not follows):
+            return stays_open(arm.jaw_rad - self._jaw.closes_rad, self._explained_rad)
+        return None if follows else NOT_FOLLOWING
+
+    def _is_open(self, arm: ArmState, sent_rad: float) -> bool:
+        """Whether the jaw is told to be closed, and measured more open than thread, backlash and lag explain."""
+        told = self._jaw.told_to_close(sent_rad)
+        return told and arm.jaw_rad - self._jaw.closes_rad > self._explained_rad
+
+    @property
+    def _closed(self) -> bool:
+        """Whether the grasp is over, so that the jaw was found closed."""
+        return any(stop.phase is Phase.GRASP for stop in self._trajectory.stops[: self._stop])
+
+    @property
+    def _closes_here(self) -> bool:
+        """Whether the phase that ends at the next stop is one that ends with a closed jaw."""
+        left = self._trajectory.stops[self._stop :]
+        return any(stop.sample == left[0].sample and stop.phase in CLOSED for stop in left)
 
     def _stop_s(self) -> float:
         stops = self._trajectory.stops
@@ -203,9 +245,3 @@ class Execution:
         T = self._kinematics.forward(np.stack((arm.joints, joints)))
         distance = np.linalg.norm(T[0, :3, 3] - T[1, :3, 3])
         return bool(distance <= metres and angle_between(T[0, :3, :3], T[1, :3, :3]) <= radians)
-
-
-def _jaw_follows(measured_rad: float, sent_rad: float) -> bool:
-    """Whether the jaw is near its set point; told to close beyond its fingers' touch, it presses on what it holds."""
-    touching_rad = max(sent_rad, 0.0)
-    return sent_rad - FOLLOWING_JAW_RAD <= measured_rad <= touching_rad + FOLLOWING_JAW_RAD

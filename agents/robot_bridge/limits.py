@@ -6,11 +6,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
+from agents.robot_bridge.jaw import UNCALIBRATED, Jaw
 from schemas.messages import TissueSurface
 from shared.kinematics.arm import ArmKinematics
 
 MAXIMUM_PLAN_AGE_S = 30.0
 """Since the frame that a plan was made from was captured, unless a rig says otherwise: docs/decisions.md, 9."""
+
+
+PSM_JOINT_SPEEDS = (1.0, 1.0, 0.08, 8.0, 3.0, 8.0)
+"""Of a PSM's joints, rad/s and m/s: a quarter more than the limits of speed below ask of them anywhere in the workspace
+from an insertion of 50 mm on, the inverse of the Jacobian says; a tenth to two thirds of what the joints could."""
 
 
 def _before_the_camera() -> Float64[np.ndarray, "2 3"]:
@@ -24,7 +30,9 @@ class MotionLimits:
     Fields:
         rounding_s: over how long a bend is rounded, at full speed (path.py).
         contact_share: the share of full speed while there may be thread between the fingers.
-        joint_share: the share of the joints' greatest speeds, so that an arm has some left to catch up with.
+        joint_share: the share of the joints' greatest speeds, so that an arm has some left to catch up with, and its
+            guard some to spare.
+        joint_speeds: those that count, where they are less than the arm's own; None for the arm's own.
         dexterity: the least that an arm's kinematics may tell of a pose, 0 being a singular one.
         press_m: how far behind the tissue's measured surface a finger may come, beyond what is uncertain of it: as far
             as a planner may be told to press (docs/planner.md).
@@ -44,6 +52,7 @@ class MotionLimits:
     rounding_s: float = 0.1
     contact_share: float = 0.4
     joint_share: float = 0.8
+    joint_speeds: tuple[float, ...] | None = None
     dexterity: float = 0.3
     press_m: float = 0.01
     workspace_camera: Float64[np.ndarray, "2 3"] = field(default_factory=_before_the_camera)
@@ -73,6 +82,7 @@ class Setup:
 
     Fields:
         surface: the tissue as it was measured last; None where it was not, or too long ago.
+        jaw: how its jaw is told a plan's angles.
     """
 
     kinematics: ArmKinematics
@@ -80,3 +90,4 @@ class Setup:
     limits: MotionLimits
     period_s: float
     surface: TissueSurface | None = None
+    jaw: Jaw = UNCALIBRATED

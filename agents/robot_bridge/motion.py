@@ -146,9 +146,9 @@ def _either_way_round(
         possible = f"1 to {MAXIMUM_WAYPOINTS} can be followed"
         return Refusal(Code.TOO_LONG, f"the plan has {len(waypoints)} waypoints, where {possible}")
     T_camera_tool = np.stack([waypoint.T_camera_tool for waypoint in waypoints])
-    jaw = np.array([waypoint.jaw_rad for waypoint in waypoints])
+    jaw = setup.jaw.set_points(np.array([waypoint.jaw_rad for waypoint in waypoints]))
     phases = [waypoint.phase for waypoint in waypoints]
-    if refusal := start_refusal(joints, setup.kinematics):
+    if refusal := start_refusal(joints, setup.kinematics) or setup.jaw.unreachable(setup.kinematics.jaw_limit):
         return refusal
     turns = sorted((False, True), key=lambda turned: _first_turn(T_camera_tool, turned, joints, setup))
     refusals: dict[bool, Refusal] = {}
@@ -246,6 +246,6 @@ def _sample(
 def _in_tissue(poses: Poses, here: Float64[np.ndarray, "4 4"], leg: _Leg, setup: Setup) -> Refusal | None:
     if setup.surface is None:
         return None
-    seen = Poses(setup.T_camera_base @ poses.T_base_tool, poses.jaw_rad)
+    seen = Poses(setup.T_camera_base @ poses.T_base_tool, poses.jaw_rad - setup.jaw.told_rad)
     where = f"on the way to the end of {leg.phase.name}"
     return tissue_refusal(setup.surface, setup.T_camera_base @ here, seen, setup.limits, where)

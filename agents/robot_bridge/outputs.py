@@ -24,12 +24,16 @@ def robot_state(arm_name: str, arm: ArmState, standing: Standing, mode: RobotMod
         mode=mode,
         T_base_tool=standing.measured.tool_pose(arm),
         joints=arm.joints,
-        jaw_rad=arm.jaw_rad,
+        jaw_rad=arm.jaw_rad - standing.setup.jaw.closes_rad,
         T_camera_base=standing.setup.T_camera_base,
         plan_id=plan_id,
         T_camera_base_registered=standing.registered if standing.corrected else None,
         kinematics=standing.setup.kinematics.name,
         correction_looked_ns=standing.looked_ns if standing.corrected else 0,
+        jaw_zero_rad=standing.setup.jaw.closes_rad,
+        jaw_set_point_rad=arm.jaw_set_point_rad,
+        jaw_effort=arm.jaw_effort,
+        instrument=arm.instrument,
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from schemas.messages import GraspPlan, Status
+from schemas.messages import FrameStamp, GraspPlan, Status
 
 
 class Code(enum.StrEnum):
@@ -47,6 +47,7 @@ class Code(enum.StrEnum):
     HEARTBEAT_LOST = "heartbeat_lost"
     HOLD_COMMAND = "hold_command"
     NOT_FOLLOWING = "not_following"
+    JAW_OPEN = "jaw_open"
     STATE_NOT_REACHED = "state_not_reached"
     CORRECTION_LOST = "correction_lost"
     CORRECTION_JUMPED = "correction_jumped"
@@ -106,7 +107,10 @@ CLOCK_TOLERANCE_S = 0.5
 
 
 class Begun(NamedTuple):
-    """A motion of an arm: which plan's, when it began, and whether the fingers came as far as the thread."""
+    """A motion of an arm: which plan's, when it began, and whether the fingers came as far as the thread.
+
+    A bridge that begins has no plan's: whatever came before, it does not know what the fingers did then.
+    """
 
     plan_id: str
     at_ns: int
@@ -141,6 +145,11 @@ class Plans:
         else:
             _keep_few(self._plans, plan.plan_id, plan)
 
+    def begins(self, now_ns: int) -> None:
+        """Nothing of before counts: the bridge began now, or its clock was set."""
+        self._plans.clear()
+        self.last = Begun("", now_ns, touched=True)
+
     def moves(self, plan_id: str, now_ns: int, touched: bool) -> None:
         """Note that a plan is carried out; again after a hold before the thread it is still the same motion."""
         if self.last.plan_id != plan_id or touched:
@@ -172,7 +181,7 @@ def untimely(plan: GraspPlan, now_ns: int, still_since_ns: int, last: Begun, max
         last: what a motion has touched may be elsewhere, and in the fingers. So the same plan may go on after a hold on
             its approach, and no later: it would begin anew, with jaws that may hold thread.
     """
-    captured_ns = min(plan.stamp.capture_left_ns, plan.stamp.capture_right_ns)
+    captured_ns = taken_ns(plan.stamp, plan.arm)
     age_s = (now_ns - captured_ns) * 1e-9
     if age_s > maximum_age_s:
         allowed = f"more than the {maximum_age_s:g} s allowed: plan again"
@@ -181,12 +190,18 @@ def untimely(plan: GraspPlan, now_ns: int, still_since_ns: int, last: Begun, max
         moved = "camera, set-up joints or arm were moved by hand"
         return Refusal(Code.MOVED, f"{moved} after the frame of plan {plan.plan_id} was captured: plan again")
     if captured_ns < last.at_ns and (plan.plan_id != last.plan_id or last.touched):
-        before = f"was captured before the motion of plan {last.plan_id} began, which may have moved the thread"
-        return Refusal(Code.OUT_OF_ORDER, f"the frame of plan {plan.plan_id} {before}: plan again")
+        motion = f"the motion of plan {last.plan_id} began, which may have moved the thread"
+        before = motion if last.plan_id else "this bridge began, or its clock was set: the jaws may hold thread since"
+        return Refusal(Code.OUT_OF_ORDER, f"the frame of plan {plan.plan_id} was captured before {before}: plan again")
     if age_s < -CLOCK_TOLERANCE_S:
         future = f"the frame of plan {plan.plan_id} was captured {-age_s:.1f} s in the future"
         return Refusal(Code.CLOCK, f"{future}: set the clocks of camera and bridge by each other")
     return None
+
+
+def taken_ns(stamp: FrameStamp, arm: str) -> int:
+    """When a frame was taken at the earliest, by the clock of the arm's bridge where it echoes that."""
+    return stamp.echo_of(arm) or min(stamp.capture_left_ns, stamp.capture_right_ns)
 
 
 def wrong_frame(plan: GraspPlan, others: Iterable[tuple[str, str]]) -> Refusal | None:

@@ -58,6 +58,10 @@ class SimulatedPsm:
         """Head for these joints, clipped to their limits as the robot clips them."""
         self._set_point = np.clip(np.append(joints, jaw_rad), self._limits[:, 0], self._limits[:, 1])
 
+    def lets_through(self, arming_id: str) -> bool:  # noqa: ARG002
+        """Always: nothing is between."""
+        return True
+
     def finish(self, arming_id: str) -> None:
         """It rests where it was sent."""
 
@@ -74,8 +78,9 @@ class SimulatedPsm:
         """Never."""
         return False
 
-    def rearm(self) -> None:
-        """Nothing."""
+    def rearm(self, asked_ns: int) -> bool:  # noqa: ARG002
+        """Always: nobody but the bridge holds it."""
+        return True
 
     @property
     def holds(self) -> bool:

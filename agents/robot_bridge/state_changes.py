@@ -15,6 +15,7 @@ from shared.runtime.commands import stops
 
 LIMIT_S, HOMING_LIMIT_S = 5.0, 60.0
 """Within which a state is to be reached; a real arm homes for half a minute."""
+HOMING = "home"
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,11 @@ class StateChanges:
     def __init__(self, arm: str, backend: Backend) -> None:
         self._arm, self._backend = arm, backend
         self._asked: _Asked | None = None
+
+    @property
+    def awaited(self) -> str:
+        """What it was told and has not come about yet; empty where nothing is."""
+        return "" if self._asked is None else self._asked.word.name.lower()
 
     def answer(self, message: ChangeState, now_ns: int, ratio: float) -> CommandAnswer:
         """Have the console do it; why not."""

@@ -2,10 +2,11 @@
 
 The planner judges grasps by the same surface, with its uncertainty. This looks at the whole way, the one to the grasp
 too, and refuses only what is clearly wrong: a point of a finger more than `press_m` and three deviations behind the
-surface along its viewing ray. What is not measured speaks against nothing; nor does what was measured where the arm's
-own tool is, which is in front of the tissue.
+surface along its viewing ray. What is not measured speaks against nothing there; nor does what was measured where the
+arm's own tool is, which is in front of the tissue. Where the fingers come to the thread, a real arm needs it measured.
 """
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float64
 
@@ -20,6 +21,8 @@ from shared.rigid_transforms import apply
 SIGMAS, TOOL_M = 3.0, 0.012
 ALONG = np.array((0.0, 0.5, 1.0))
 """Shares of a finger's length that are looked at."""
+BRIDGED_CELLS = 2
+"""What thread hides of the tissue is known from cells so near, as the planner bridges it."""
 
 
 def fingers_of(poses: Poses) -> Float64[np.ndarray, "n p 3"]:
@@ -45,9 +48,7 @@ def tissue_refusal(
     samples = points.shape[:2]
     points = points.reshape(-1, 3)
     points = np.where(points[:, 2:] > 0, points, np.nan)
-    u = surface.camera.fx_px * points[:, 0] / points[:, 2] + surface.camera.cx_px
-    v = surface.camera.fy_px * points[:, 1] / points[:, 2] + surface.camera.cy_px
-    column, row = _cell(surface.u_px, u), _cell(surface.v_px, v)
+    row, column = _cells(surface, points)
     known = (surface.valid & ~_tool_cells(surface, unit_m, T_camera_tool))[row, column] & (column >= 0) & (row >= 0)
     deviation = 0.0 if surface.deviation is None else surface.deviation[row, column]
     behind = np.where(known, points[:, 2] - unit_m * (surface.depth[row, column] + SIGMAS * deviation), -np.inf)
@@ -60,6 +61,22 @@ def tissue_refusal(
         f"{1e3 * deepest:.1f} mm behind the tissue as it was measured, where {1e3 * limits.press_m:g} mm are allowed"
     )
     return Refusal(Code.TISSUE, f"{where} a finger would be {depth}")
+
+
+def measured_at(surface: TissueSurface, T_camera_tool: Float64[np.ndarray, "n 4 4"]) -> bool:
+    """Whether the tissue was measured at, or right beside, every place that the tips are at in these poses."""
+    tips = apply(T_camera_tool, np.array(((0.0, 0.0, FINGER_M),)))[:, 0]
+    row, column = _cells(surface, np.where(tips[:, 2:] > 0, tips, np.nan))
+    side = 2 * BRIDGED_CELLS + 1
+    near = cv2.dilate(surface.valid.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+    return bool(((row >= 0) & (column >= 0) & near[row, column]).all())
+
+
+def _cells(surface: TissueSurface, points_camera: Float64[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the cell that each point is seen in; -1 where it is seen in none."""
+    u = surface.camera.fx_px * points_camera[:, 0] / points_camera[:, 2] + surface.camera.cx_px
+    v = surface.camera.fy_px * points_camera[:, 1] / points_camera[:, 2] + surface.camera.cy_px
+    return _cell(surface.v_px, v), _cell(surface.u_px, u)
 
 
 def _cell(middles: Float64[np.ndarray, "c"], at: Float64[np.ndarray, "n"]) -> np.ndarray:

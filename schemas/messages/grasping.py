@@ -100,11 +100,17 @@ class StateWord(enum.Enum):
 
 @dataclass(frozen=True)
 class ChangeState:
-    """Have the console of an arm that is disarmed change its state; homing moves the arm."""
+    """Have the console of an arm that is disarmed change its state; homing moves the arm.
+
+    Fields:
+        challenge_ns, pressed: as of Arm: who has a real arm enabled, homed or resumed must stand by.
+    """
 
     header: CommandHeader
     arm: str
     word: StateWord
+    challenge_ns: int = 0
+    pressed: bool = False
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -405,6 +411,11 @@ class RobotState:
         guard_challenge: the newest of the guard beside the console; 0 where there is none.
         maximum_frame_age_s: a motion holds where the newest camera frame is older; 0 from those who do not tell.
         is_real: it moves something real, so that a process that beats by itself cannot arm it.
+        jaw_rad: how far the jaw is open: as measured, less `jaw_zero_rad`, the measured angle at which it closes by its
+            calibration; 0 where there is none.
+        jaw_set_point_rad, jaw_effort: where its console has the jaw head, by the angles that the console measures, and
+            with which effort (N m); None where it does not tell.
+        instrument: the tool that its console has on it; empty where it does not tell.
     """
 
     arm: str
@@ -423,6 +434,10 @@ class RobotState:
     guard_challenge: UInt64 = 0
     maximum_frame_age_s: float = 0.0
     is_real: bool = False
+    jaw_zero_rad: float = 0.0
+    jaw_set_point_rad: float | None = None
+    jaw_effort: float | None = None
+    instrument: str = ""
 
     def __post_init__(self) -> None:
         check_message(self)

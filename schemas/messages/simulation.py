@@ -64,7 +64,7 @@ class GraspJudgement:
         sentence: the same in plain words.
         peak_tissue_force_n: the most force that the fingers put on the tissue; None where no forces were computed.
         slipped_m: how far the thread slipped through the closed fingers while they lifted it; None likewise.
-        code: the reason in one word for counting, such as HELD, BESIDE, BEYOND_TIPS or SLIPPED_ON_SLIDE
+        code: the reason in one word for counting, such as HELD, BESIDE, BEYOND_THE_FINGERTIPS or SLIPPED_ON_SLIDE
             (docs/simulator.md lists them); empty in recordings from before there were any.
     """
 

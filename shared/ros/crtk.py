@@ -31,10 +31,11 @@ _UNIT_TOLERANCE = 1e-3
 
 
 class Joints(NamedTuple):
-    """Positions of joints, and when they were measured."""
+    """Positions of joints, and when they were measured; efforts where the message has them."""
 
     stamp_ns: int
     position: Float64[np.ndarray, "n"]
+    effort: Float64[np.ndarray, "m"]
 
 
 class Pose(NamedTuple):
@@ -99,10 +100,10 @@ def joints(data: bytes) -> Joints:
     """Joints as measured.
 
     Raises:
-        RosMessageError: where the bytes are no such message. Positions may be none, or not finite.
+        RosMessageError: where the bytes are no such message. Positions and efforts may be none, or not finite.
     """
     found = decode(JOINT_STATE, data)
-    return Joints(_stamp_ns(found), np.array(found.position, np.float64))
+    return Joints(_stamp_ns(found), np.array(found.position, np.float64), np.array(found.effort, np.float64))
 
 
 def pose(data: bytes) -> Pose:

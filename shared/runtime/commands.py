@@ -71,7 +71,10 @@ def stops(message: Any) -> bool:
 
 
 def stops_unread(topic: Topic, payload: bytes) -> bool:
-    """Whether a command that nobody has looked at yet stops an arm; on a topic that only stops, whatever it says."""
+    """Whether a command that nobody has looked at yet stops an arm; on a topic that only stops, whatever it says.
+
+    One that may stop and cannot be read, such as of a newer version, does: to stand harms nobody.
+    """
     if topic.good_when_late:
         return True
     if topic.message is not ChangeState:
@@ -79,7 +82,7 @@ def stops_unread(topic: Topic, payload: bytes) -> bool:
     try:
         return stops(decode(ChangeState, payload))
     except MessageError:
-        return False
+        return True
 
 
 def id_of(message_type: type, payload: bytes) -> str:

@@ -293,6 +293,10 @@ def taking(
             # meant for another arm, which its sender has to tell again; this one stands too, which harms nobody
             inbox.put(arrival)
         elif not inbox.put_first(arrival, STOPS_WAITING):
-            answer(accepted(id_of(topic.message, payload)))
+            if topic.good_when_late:
+                # those that wait hold as well as it would
+                answer(accepted(id_of(topic.message, payload)))
+            else:
+                inbox.put(arrival)
 
     return take

@@ -12,6 +12,7 @@ from agents.cli.lab.emulate_options import Emulate
 from agents.dvrk_emulator.arm import start_of
 from agents.dvrk_emulator.asked import answering
 from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
+from agents.dvrk_emulator.geometry import JAW_LIMITS
 from agents.dvrk_emulator.oracle import Field, Oracle
 from agents.dvrk_emulator.wire import BridgeWire, RmwWire
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
@@ -64,7 +65,8 @@ def _run(options: Emulate, session: Session, oracles: dict[str, Oracle], stopped
         consoles, running = list[EmulatedConsole](), list[threading.Thread]()
         for arm, oracle in oracles.items():
             wire = BridgeWire(session) if options.codec == "ros2dds" else RmwWire(session, options.domain)
-            behaviour = Behaviour(options.ready, 1e-3 * options.lag_ms, start_of(arm), options.foot)
+            stop_rad = JAW_LIMITS[0] if options.jaw_closes is None else options.jaw_closes
+            behaviour = Behaviour(options.ready, 1e-3 * options.lag_ms, start_of(arm), options.foot, stop_rad)
             console = stack.enter_context(contextlib.closing(EmulatedConsole(wire, arm, oracle, behaviour)))
             stack.enter_context(answering(session, console))
             consoles.append(console)

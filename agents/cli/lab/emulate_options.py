@@ -9,7 +9,7 @@ import tyro
 Words = Literal[
     "fault", "error", "stick", "loose", "mute", "speak",
     "camera", "camera_back", "setup", "setup_back", "clutch", "unclutch", "pedal", "pedal_up", "unreached",
-    "teleop", "no_teleop", "drift", "narrow", "wide",
+    "teleop", "no_teleop", "drift", "narrow", "wide", "open_jaw", "close_jaw",
 ]  # fmt: skip
 
 
@@ -40,6 +40,8 @@ class Emulate:
     """Somebody stands at the console, and presses the operator's pedal anew for each motion."""
     lag_ms: float = 0.0
     """How far behind a steady motion its joints come, as joints with inertia do."""
+    jaw_closes: Annotated[float | None, tyro.conf.arg(metavar="RAD")] = None
+    """The angle at which the fingers of its instrument touch, and press on each other beyond; none without it."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """JSON with T_camera_base (4x4, metres), by which the place of the tool before the camera is judged too."""
     heartbeats: Annotated[str | None, tyro.conf.arg(metavar="ENDPOINT")] = None

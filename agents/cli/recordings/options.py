@@ -76,7 +76,7 @@ class Replay(OnRecording):
     """Publish a recording on the live keys again, as it was received: for running agents, or to look at it.
 
     What live agents publish themselves is left out, and so is what an arm would act on. On a terminal, space holds the
-    replay, n steps to the next frame, q ends it. Exit status: 0 replayed, 1 not all of it, 2 not as asked.
+    replay, n steps to the next frame, q ends it. Exit status: 0 replayed, 1 not all of it, 2 not as asked, 3 damaged.
     """
 
     recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MCAP")]

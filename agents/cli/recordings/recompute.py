@@ -139,9 +139,10 @@ def replayed(options: Recompute) -> ThroughResult:
 def with_simulated_arms(config: RigConfig) -> RigConfig:
     """The configuration with a simulated arm in place of each real one, which no replay may reach.
 
-    A file that told where its base was need not be on this machine: the simulated arm stands in a place of its own.
+    A file that told where its base was, or its jaw closed, need not be on this machine: the simulated arm stands in a
+    place of its own, and its jaw closes at 0.
     """
-    simulated = {"backend": "simulated", "dvrk": None, "T_camera_base_file": None}
+    simulated = {"backend": "simulated", "dvrk": None, "T_camera_base_file": None, "jaw_file": None}
     return config.model_copy(update={"robot": {a: s.model_copy(update=simulated) for a, s in config.robot.items()}})
 
 

@@ -8,11 +8,16 @@ A thread that was seen before is then elsewhere, and so are plan and arming. Wha
   T_camera_base follows it, and without one the registration holds no longer;
 - buttons: the pedals of camera and clutch, and those on the arms that let go of the arm or of its set-up joints.
 
+What has moved since the arm was registered is kept in a file: a bridge that begins anew holds it against the same
+registration still. What was told once and does not come any more speaks against moving, as what never came does.
+
 Topics: jhu-dvrk/sawIntuitiveResearchKit, API 2.x; a button's message is sensor_msgs/Joy, 1 where it is pressed.
 """
 
+import json
 import threading
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -62,6 +67,57 @@ def apart(one: Float64[np.ndarray, "4 4"], other: Float64[np.ndarray, "4 4"]) ->
     return Apart(float(np.linalg.norm(one[:3, 3] - other[:3, 3])), turned)
 
 
+class Since:
+    """Where frames were first since an arm was registered, and who let go of its set-up joints; in a file, if any.
+
+    Fields:
+        first: by kind.
+        let_go: the button; empty where none did.
+        unknown: why that is not known; empty where it is.
+    """
+
+    def __init__(self, file: Path | None = None, registration: str = "") -> None:
+        """As the file has it of this registration; another one begins anew."""
+        self._file, self._registration = file, registration
+        self.first: dict[str, Float64[np.ndarray, "4 4"]] = {}
+        self.let_go, self.unknown = "", ""
+        if file is None or not file.exists():
+            return
+        try:
+            kept: dict[str, Any] = json.loads(file.read_text())
+            if kept["registration"] == registration:
+                self.first = {kind: np.array(T, dtype=float).reshape(4, 4) for kind, T in kept["first"].items()}
+                self.let_go = str(kept["let_go"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            self.unknown = f"{file} cannot be read: register anew, remove it, and start the bridge again"
+
+    def begins(self, kind: str, T: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"]:
+        """Where a frame of this kind was first, which is here where it was not told before."""
+        if kind not in self.first:
+            self.first[kind] = T
+            self._keep()
+        return self.first[kind]
+
+    def lets_go(self, button: str) -> None:
+        """Somebody let go of the set-up joints."""
+        if button != self.let_go:
+            self.let_go = button
+            self._keep()
+
+    def _keep(self) -> None:
+        if self._file is None or self.unknown:
+            return
+        first = {kind: T.tolist() for kind, T in self.first.items()}
+        text = json.dumps({"registration": self._registration, "first": first, "let_go": self.let_go})
+        beside = self._file.with_suffix(".new")
+        try:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            beside.write_text(text)
+            beside.replace(self._file)
+        except OSError as error:
+            self.unknown = f"{self._file} cannot be written ({error.strerror}): see to the disk, then start again"
+
+
 class FramesWatch:
     """Hears frames and buttons from other threads; `judge` is for the bridge's own.
 
@@ -70,8 +126,9 @@ class FramesWatch:
         T_camera_base: as it follows from where the ECM is; None where it does not depend on that, or is not known yet.
     """
 
-    def __init__(self, arm: str, base: HandEye | None) -> None:
+    def __init__(self, arm: str, base: HandEye | None, since: Since | None = None) -> None:
         """An arm by its console's name; with a `base` that is told from the ECM, it is followed."""
+        self._since = Since() if since is None else since
         self._arm, self._base = arm, base if base is not None and base.reference is Reference.ECM_BASE else None
         self.still_since_ns, self.T_camera_base = 0, None
         self._lock = threading.Lock()
@@ -81,8 +138,8 @@ class FramesWatch:
         self._heard_of = set[str]()
         self._let_go = ""
         self._last: dict[str, Float64[np.ndarray, "4 4"]] = {}
-        self._first: dict[str, Float64[np.ndarray, "4 4"]] = {}
         self._what = ""
+        self._paired_ns: int | None = None
         self._read: dict[str, tuple[_Raw, crtk.Pose | None]] = {}
 
     def heard(self) -> tuple[Heard, ...]:
@@ -109,6 +166,10 @@ class FramesWatch:
             what = "the clutch was never heard of"
             remedy = "press the clutch once, or say has_no = ['clutch'] where there is none"
             found["clutch"] = what, remedy
+        if MEASURED not in self._raw and self._base is None:
+            what = "whether the arm's base stands still was never told (measured_cp)"
+            remedy = "let it through, or say has_no = ['set_up_joints'] where it is fixed to the table"
+            found["set_up_joints"] = what, remedy
         return found
 
     def hear_pose(self, kind: str, data: bytes, arrived_ns: int) -> None:
@@ -136,9 +197,15 @@ class FramesWatch:
             self._touched = ""
         if pressed or touched:
             self._moved(now_ns, f"{(pressed or [touched])[0]} was pressed")
+        # where the clock was set back, nothing is so young that it was taken before this
+        self.still_since_ns = min(self.still_since_ns, now_ns)
         stands = self._tip(raw, now_ns) or self._reference(raw, now_ns)
         if let_go:
-            return f"{let_go} let go of set-up joints: register the base anew, then start the bridge again"
+            self._since.lets_go(let_go)
+        if self._since.unknown:
+            return f"what has moved since the arm was registered is not known: {self._since.unknown}"
+        if self._since.let_go:
+            return f"{self._since.let_go} let go of set-up joints: register the base anew, then start the bridge again"
         if stands:
             return stands
         return f"{self._what}: wait, then plan again" if now_ns - self.still_since_ns < SETTLED_NS else ""
@@ -146,11 +213,13 @@ class FramesWatch:
     def _tip(self, raw: dict[str, _Raw], now_ns: int) -> str:
         """What the endoscope's own arm says."""
         tip = self._pose(TIP, raw)
-        fresh = tip is not None and now_ns - raw[TIP].arrived_ns < ECM_AGE_NS
+        fresh = tip is not None and self._fresh(TIP, raw, now_ns)
         if self._base is not None and not fresh:
             return "its base is told from the ECM, whose local/measured_cp does not come"
-        if tip is None:
+        if TIP not in raw:
             return ""
+        if tip is None or not fresh:
+            return "where the camera's arm is (ECM/local/measured_cp) comes no more: see that its console runs"
         from_first = self._compared(TIP, tip.T, now_ns, "the camera (ECM) moved")
         if self._base is not None:
             self.T_camera_base = self._base.before_camera(tip.T)
@@ -159,15 +228,23 @@ class FramesWatch:
 
     def _reference(self, raw: dict[str, _Raw], now_ns: int) -> str:
         """What the arm's pose in two frames says; it holds an ECM's motion too, where the ECM itself is not told."""
-        measured, local = self._pose(MEASURED, raw), self._pose(LOCAL, raw)
-        if measured is None or local is None or abs(measured.stamp_ns - local.stamp_ns) > SAME_TIME_NS:
-            return ""
-        if self._base is not None:
+        if self._base is not None or MEASURED not in raw:
             # it changes with the ECM, which is followed
+            return ""
+        measured, local = self._pose(MEASURED, raw), self._pose(LOCAL, raw)
+        new = self._fresh(MEASURED, raw, now_ns) and self._fresh(LOCAL, raw, now_ns)
+        paired = measured is not None and local is not None and abs(measured.stamp_ns - local.stamp_ns) <= SAME_TIME_NS
+        self._paired_ns = now_ns if self._paired_ns is None or (new and paired) else min(self._paired_ns, now_ns)
+        if now_ns - self._paired_ns > ECM_AGE_NS:
+            return "whether the base stands still (measured_cp with local/measured_cp) is told no more: see its console"
+        if measured is None or local is None or not paired:
             return ""
         T_reference_base = measured.T @ inverse(local.T)
         from_first = self._compared(MEASURED, T_reference_base, now_ns, "set-up joints or the camera moved")
         return _elsewhere("the base, by its set-up joints or the camera's,", from_first)
+
+    def _fresh(self, kind: str, raw: dict[str, _Raw], now_ns: int) -> bool:
+        return kind in raw and now_ns - raw[kind].arrived_ns < ECM_AGE_NS
 
     def _pose(self, kind: str, raw: dict[str, _Raw]) -> crtk.Pose | None:
         """The newest pose of a kind; None where there is none, or it cannot be read, which others report."""
@@ -183,7 +260,7 @@ class FramesWatch:
         if apart(self._last.setdefault(kind, T), T).moved:
             self._last[kind] = T
             self._moved(now_ns, what)
-        return apart(self._first.setdefault(kind, T), T)
+        return apart(self._since.begins(kind, T), T)
 
     def _moved(self, now_ns: int, what: str) -> None:
         self.still_since_ns, self._what = now_ns, what

@@ -91,10 +91,10 @@ class GuardLink:
                 self._ours.popitem(last=False)
         self._say(self._keys[SET_POINT], set_point_bytes(self._keys[SET_POINT], said))
 
-    def ours(self, data: bytes) -> bool:
-        """Whether what a console was sent (sensor_msgs/JointState) are positions that we sent the guard."""
+    def ours(self, data: bytes, count: int) -> bool:
+        """Whether so many positions that a console was sent (sensor_msgs/JointState) are what we sent the guard."""
         with self._lock:
-            return any(data[-TAIL - 8 * count : -TAIL] in self._ours for count in (6, 1))
+            return data[-TAIL - 8 * count : -TAIL] in self._ours
 
     def finish(self, arming_id: str) -> None:
         """Tell that a motion has ended as it should; it is told again for as long as nothing else moves."""

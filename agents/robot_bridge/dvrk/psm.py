@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState, Readiness
-from agents.robot_bridge.dvrk.frames_moved import FramesWatch
+from agents.robot_bridge.dvrk.frames_moved import FramesWatch, Since
 from agents.robot_bridge.dvrk.guard_link import GuardLink
 from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, STOPPING, TELEOPERATION, Judged, Measured, Readings
 from agents.robot_bridge.dvrk.set_points import SetPointsWatch
@@ -38,8 +38,8 @@ MOTIONS = {
     **dict.fromkeys(("servo_cp", "move_cp"), POSE_STAMPED),
 }
 """Whoever publishes one of these beside us is another owner of the arm."""
-SERVOS = ("servo_jp", "jaw/servo_jp")
-"""Which the guard publishes for us."""
+SERVOS = {"servo_jp": 6, "jaw/servo_jp": 1}
+"""Which the guard publishes for us, with how many positions."""
 STOPS = {"free": EMPTY, "state_command": STRING_STAMPED}
 """Whoever sends one of these wants us to stop; that somebody could does not. A hold in mid-motion the guard tells."""
 
@@ -88,6 +88,7 @@ class DvrkPsm:
         kinematics: ArmKinematics = LARGE_NEEDLE_DRIVER,
         base: HandEye | None = None,
         has_no: Collection[str] = (),
+        since: Since | None = None,
         linked: Callable[..., Linked] = RosLink,
         clock: Callable[[], int] = clock_ns,
         monotonic: Callable[[], int] = monotonic_ns,
@@ -96,15 +97,17 @@ class DvrkPsm:
 
         `base`: where it is, to follow it where that is told from the ECM.
         `has_no`: what this rig has none of, so that its silence says nothing (`untold`).
+        `since`: what has moved since the arm was registered, where a bridge before this one saw it.
         `linked`, `clock`, `monotonic`: what else makes a link of what RosLink is made of, and tells the time.
         """
         self.kinematics, self.dry_run, self._name = kinematics, dry_run, name
         self._readings = readings = Readings(name, tool, kinematics)
         self._commanded_ns, self._replayed, self._clock_ns, self._monotonic_ns = 0, False, clock, monotonic
-        self._frames, self._set_points = FramesWatch(name, base), SetPointsWatch(name)
+        self._frames, self._set_points = FramesWatch(name, base, since), SetPointsWatch(name)
         self._guard = GuardLink(name, self._say, monotonic)
         self._has_no, self._halted, self._arming_id = frozenset(has_no), False, ""
         self._held_ns: int | None = None
+        self._console_held_ns = -1
         self._said_ns = self._measured_ns = self._heard_ns = 0
         self._stands, self._stands_ns = NOTHING.joints, 0
         self._broken, self._guard_held = 0, ("", "")
@@ -165,6 +168,9 @@ class DvrkPsm:
             told.challenge if told else 0,
             told is not None and told.pedal,
             tuple(told for name, told in self._untold().items() if name not in self._has_no),
+            self._set_points.jaw_rad,
+            measured.jaw_effort,
+            self._readings.instrument,
         )
 
     def _judge(self, measured: Measured, now_ns: int) -> Judged:
@@ -191,6 +197,11 @@ class DvrkPsm:
         self._commanded_ns, self._arming_id, self._held_ns = self._clock_ns(), arming_id, None
         self._set_points.sent(joints, jaw_rad, self._commanded_ns)
         self._guard.move((*(float(joint) for joint in joints), float(jaw_rad)), arming_id)
+
+    def lets_through(self, arming_id: str) -> bool:
+        """Whether the guard says so."""
+        told = self._guard.told
+        return told is not None and told.gate is Gate.OPEN and told.arming_id == arming_id
 
     def finish(self, arming_id: str) -> None:
         """Tell the guard that the motion has ended as it should."""
@@ -221,9 +232,13 @@ class DvrkPsm:
         """Whether it was halted since it was armed last."""
         return self._halted
 
-    def rearm(self) -> None:
-        """Set points may be sent again."""
+    def rearm(self, asked_ns: int) -> bool:
+        """Set points may be sent again, unless somebody has said hold at the console since whoever arms heard of it."""
+        # a hold that another thread hears meanwhile halts after this, or is seen below
         self._halted, self._held_ns = False, None
+        if self._console_held_ns >= asked_ns:
+            self._halted = True
+        return not self._halted
 
     @property
     def holds(self) -> bool:
@@ -277,6 +292,7 @@ class DvrkPsm:
 
     def _hear_hold(self, _data: bytes, _at_ns: int) -> None:
         """Somebody else says hold, the guard perhaps: before the guard lets our arming pass, that ends it as well."""
+        self._console_held_ns = self._clock_ns()
         told = self._guard.told
         if told is None or told.gate is not Gate.OPEN or told.arming_id != self._arming_id:
             self._halted = True
@@ -287,7 +303,7 @@ class DvrkPsm:
 
     def _another(self, topic: str) -> Callable[[bytes, int], None]:
         def hear(data: bytes, at_ns: int) -> None:
-            if topic not in SERVOS or not self._guard.ours(data):
+            if topic not in SERVOS or not self._guard.ours(data, SERVOS[topic]):
                 self._readings.hear_other(f"{self._name}/{topic}", at_ns)
 
         return hear

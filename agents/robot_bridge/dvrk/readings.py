@@ -141,13 +141,16 @@ class Measured:
 
     Fields:
         measured_ns: when, on this host's clock.
+        jaw_effort: None where it is not told.
     """
 
     measured_ns: int
     joints: Float64[np.ndarray, "6"]
     jaw_rad: float
+    jaw_effort: float | None = None
 
 
+NO_EFFORT = np.zeros(0)
 NOTHING = Measured(0, np.full(6, np.nan), float("nan"))
 
 
@@ -171,6 +174,7 @@ class Readings:
         self._decoded = dict.fromkeys(KINDS, Raw(b"", 0))
         self._newest: dict[str, tuple[int, np.ndarray]] = {}
         self._faulty, self._apart, self._before = "", _Apart(0, 0.0, 0.0), NOTHING.joints
+        self._jaw_effort: float | None = None
 
     def hear(self, kind: str, data: bytes, arrived_ns: int) -> None:
         """Keep the newest measurement of a kind, unread."""
@@ -239,7 +243,7 @@ class Readings:
         joints, jaw = self._newest.get("measured_js"), self._newest.get("jaw/measured_js")
         if joints is None or jaw is None:
             return NOTHING
-        return Measured(min(joints[0], jaw[0]), joints[1], float(jaw[1][0]))
+        return Measured(min(joints[0], jaw[0]), joints[1], float(jaw[1][0]), self._jaw_effort)
 
     def judge(self, measured: Measured, commanded_ns: int, now_ns: int) -> Judged:
         """Whether the arm would follow, and may be moved by us; and if not, why. What is over by now is told once."""
@@ -263,6 +267,12 @@ class Readings:
         """Whether the console says that the arm makes a motion of its own."""
         operating = self._said.operating
         return operating is not None and operating.is_busy
+
+    @property
+    def instrument(self) -> str:
+        """The tool that the console has on the arm; empty where it has not said, or something that is no name."""
+        tool = self._said.tool
+        return tool if tool.isprintable() else ""
 
     def reached(self, word: StateWord) -> bool:
         """Whether the console's operating state is the one that a word leads to, and it is not busy."""
@@ -317,10 +327,11 @@ class Readings:
 
     def _read(self, kind: str, newest: Raw) -> None:
         try:
+            effort = NO_EFFORT
             if kind == "local/measured_cp":
                 stamp_ns, _, values = crtk.pose(newest.data)
             else:
-                stamp_ns, values = crtk.joints(newest.data)
+                stamp_ns, values, effort = crtk.joints(newest.data)
                 if values.shape != ((6,) if kind == "measured_js" else (1,)) or not np.isfinite(values).all():
                     self._faulty = f"its {kind} has {values.size} joints, or one that is not finite"
                     return
@@ -334,6 +345,9 @@ class Readings:
                 self._stamps[kind] = before_ns
                 return
             self._clocks[kind].forget()
+        if kind == "jaw/measured_js":
+            told = effort.size == 1 and np.isfinite(effort).all()
+            self._jaw_effort = float(effort[0]) if told else None
         self._newest[kind] = self._clocks[kind].measured_ns(stamp_ns, newest.arrived_ns), values
 
 

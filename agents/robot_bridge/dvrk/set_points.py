@@ -55,6 +55,14 @@ class SetPointsWatch:
         """For a while the console may head elsewhere: it was told to hold, or is not ready."""
         self._free_ns = now_ns
 
+    @property
+    def jaw_rad(self) -> float | None:
+        """Where the console has the jaw head, as it was told last; None where it does not tell, or cannot be read."""
+        with self._lock:
+            newest = self._raw.get("jaw/setpoint_js")
+        told = None if newest is None else _read(newest)
+        return float(told[0]) if told is not None and told.size == 1 and np.isfinite(told).all() else None
+
     def judge(self, now_ns: int) -> Judged | None:
         """Why nothing must move: the console heads for something else than it was sent."""
         with self._lock:

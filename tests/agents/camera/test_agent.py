@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from agents.camera.agent import Camera, CameraConfig
+from agents.camera.agent import MOST_ALIKE, Camera, CameraConfig
 from agents.camera.scene_source import calibration_of
 from agents.camera.sources import BrokenOffError, SourceError
 from schemas.messages import FrameNotice, ImageEncoding, RectifiedStereo, RobotMode, RobotState
@@ -90,6 +90,14 @@ def challenge(arm, challenge_ns):
     pose, joints = np.eye(4), np.zeros(6)
     state = RobotState(arm, 1, RobotMode.IDLE, pose, joints, 0.0, pose, "", challenge_ns=challenge_ns)
     return Received(ROBOT_STATE, f"suturegrasp/lab/robot_bridge/{arm}/state", 0, state)
+
+
+def test_a_picture_that_comes_again_and_again_echoes_no_challenge_until_another_one_does():
+    camera, echoed = camera_of(*[7] * (MOST_ALIKE + 1), 8, config=CameraConfig()), list[bool]()
+    for number in range(1, MOST_ALIKE + 3):
+        list(camera.step(challenge("psm1", number)))
+        echoed.append(bool(stepped(camera, number * 10**9)[FRAMES].stamp.echoes))
+    assert echoed == [*[True] * (MOST_ALIKE - 1), False, False, True]
 
 
 def test_a_frame_echoes_the_newest_challenge_that_was_heard_before_it_was_captured():

@@ -29,6 +29,9 @@ realtime = true
 ASIDE = "[[1, 0, 0, 0.05], [0, 1, 0, 0], [0, 0, 1, -0.08], [0, 0, 0, 1]]"
 DVRK = '[robot.psm1]\nbackend = "dvrk"\n[robot.psm1.dvrk]\n'
 ARM = f'[robot.psm1]\nT_camera_base = {ASIDE}\nbackend = "dvrk"\n[robot.psm1.dvrk]\nendpoint = "tcp/127.0.0.1:7448"\n'
+FOOT = f'{ARM}pedal = "footpedals/operator_present"\n'
+OTHER_FOOT = FOOT.replace("psm1", "psm2").replace("0.05", "-0.05")
+STREAM = '[camera]\nsource = "video"\nleft = "rtsp://10.0.0.9/stereo"\ncalibration = "c"'
 FAR = WHOLE.replace("[robot.psm1]\n", ARM.replace("tcp/127.0.0.1:7448", "tls/robot.lab:7447"))
 DESK = '[security]\n[hosts.desk]\naddress = "10.0.0.1"\nruns = ["operator"]\n[router]\nhost = "desk"\n'
 
@@ -58,7 +61,9 @@ OF_ONE_MACHINE = {
     f'{DVRK}endpoint = "tcp/127.0.0.1:7448"': "backend 'dvrk' needs T_camera_base",
     ARM.replace("127.0.0.1", "10.0.0.9"): "needs tls and [security]; or",
     f"{ARM}through_guard = false": "set points go through the guard always: leave through_guard",
-    f'{ARM}has_no = ["camera"]': "'teleoperation', 'endoscope_arm', 'clutch' or 'tissue'",
+    f'{ARM}has_no = ["camera"]': "'teleoperation', 'endoscope_arm', 'clutch', 'set_up_joints' or 'tissue'",
+    f'{FOOT}{OTHER_FOOT}arm = "PSM2"': "robot.psm1 and robot.psm2 both count the pedal of the console",
+    f"{ARM}dry_run = false\n{STREAM}": "before psm1, which is real, film by a device",
     f'{ARM}pedal = "camera"': "'footpedals/operator_present' or 'console/operator_present'",
     "[robot.psm1]\nmaximum_plan_age_s = 1e9": "maximum_plan_age_s = 1000000000.0: it must be less than or equal",
     "[robot.psm1]\nmaximum_frame_age_s = 2.1": "maximum_frame_age_s = 2.1: it must be less than or equal to 2",

@@ -173,6 +173,37 @@ def test_joints_with_a_lag_come_that_much_behind_a_steady_motion_and_stand_where
     assert abs(arm.position[0] - start[0] - speed) < 1e-4
 
 
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+def test_fingers_that_touch_stay_there_press_the_more_they_are_told_beyond_and_arrive(lag_s):
+    arm = EmulatedArm(True, lambda _: None, lag_s=lag_s, jaw_stop_rad=0.1)
+    efforts = []
+    for told in (0.4, 0.05, -0.2):
+        assert arm.head("jaw", np.array([told]), moving=True)
+        assert arm.is_busy
+        for _ in range(400):
+            arm.step(0.005)
+        assert not arm.is_busy
+        assert arm.position[6] == pytest.approx(max(told, 0.1), abs=1e-3)
+        efforts.append(arm.jaw_effort)
+    assert efforts[0] == 0 > efforts[1] > efforts[2]
+    arm.hold()
+    arm.step(0.005)
+    assert arm.jaw_effort == 0
+
+
+def test_somebody_at_the_console_closes_the_jaw_until_a_set_point_or_a_hold_comes():
+    arm = EmulatedArm(True, lambda _: None)
+    arm.jaw_by_hand(0.5)
+    arm.step(0.1)
+    assert 0 < arm.goal[6] < 0.5
+    arm.step(1.0)
+    assert arm.goal[6] == pytest.approx(0.5)
+    arm.jaw_by_hand(-0.3)
+    arm.hold()
+    arm.step(1.0)
+    assert arm.goal[6] == pytest.approx(arm.position[6])
+
+
 BASE = np.array([[-1.0, 0, 0, 0.045], [0, 1, 0, 0.01], [0, 0, -1, -0.05], [0, 0, 0, 1]])
 START = np.array((0.0, 0.0, 0.12, 0.0, 0.0, 0.0))
 AT = np.append(START, 0.0)

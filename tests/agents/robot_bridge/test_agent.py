@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.robot_bridge.agent import RobotBridgeConfig, RobotBridgeError
+from agents.robot_bridge.agent import MOST_SEGMENTS, RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.backend import ArmState, Readiness
 from agents.robot_bridge.limits import MotionLimits
 from agents.robot_bridge.plans import Code
@@ -23,10 +23,12 @@ from tests.agents.robot_bridge.drive import (
     TICK,
     WAYPOINTS,
     Drive,
+    RealArm,
     UnreliableArm,
     moving,
     plan,
     stands_still,
+    tissue_before,
 )
 
 HELD, FINISHED = ExecutionKind.HELD, ExecutionKind.FINISHED
@@ -199,6 +201,36 @@ def test_what_was_held_at_the_thread_goes_on_only_from_a_frame_of_since() -> Non
     assert (code, "which may have moved the thread: plan again" in reason) == ("out_of_order", True)
     drive.publish(plan("p2", captured_ns=drive.now_ns))
     assert drive.arm("p2").outcome is Outcome.ACCEPTED
+
+
+@pytest.mark.parametrize("backend", [UnreliableArm, RealArm])
+def test_after_a_clock_was_set_back_no_plan_tissue_or_frame_of_before_counts(backend: Any) -> None:
+    drive = Drive(backend=backend(), config=RobotBridgeConfig(calibration_id="c", registered_ns=EPOCH), camera=0)
+    tissue_before(drive, 0.1)
+    drive.publish(plan(stamp=drive.stamp()))
+    drive.tick(-60 * SECOND)
+    drive.now_ns += 55 * SECOND
+    drive.tick()
+    assert drive.arm().code == "unknown_plan"
+    drive.publish(plan("p2", stamp=drive.stamp()))
+    assert drive.arm("p2", pressed=True).code == ("" if backend is UnreliableArm else "frame_age")
+
+
+def test_a_real_arms_bridge_that_begins_takes_no_plan_of_a_frame_of_before() -> None:
+    drive = Drive(RobotBridgeConfig(calibration_id="c", registered_ns=EPOCH, tissue_needed=False), RealArm(), camera=0)
+    drive.tick()
+    drive.see()
+    drive.publish(plan("old", captured_ns=EPOCH - SECOND))
+    code, reason = drive.refused(plan_id="old")
+    assert (code, "captured before this bridge began" in reason) == ("out_of_order", True)
+    drive.publish(plan("new", stamp=drive.stamp()))
+    assert drive.arm("new", pressed=True).outcome is Outcome.ACCEPTED
+
+
+def test_whoever_arms_may_ask_for_few_segments_and_gets_no_more_than_there_may_be() -> None:
+    drive = Drive().armed(segments=2**32 - 1)
+    assert drive.bridge._execution is not None
+    assert drive.bridge._execution.segments == MOST_SEGMENTS
 
 
 def test_an_arm_at_rest_that_is_held_says_so_and_a_bridge_that_is_closed_lets_its_arm_rest() -> None:

@@ -13,6 +13,7 @@ from agents.robot_bridge.motion import MAXIMUM_WAYPOINTS, Trajectory, plan_motio
 from agents.robot_bridge.path import Poses, smooth_path
 from agents.robot_bridge.plans import Code, Refusal
 from agents.robot_bridge.simulated import SIMULATED_START
+from agents.robot_bridge.tissue import measured_at
 from schemas.messages import Phase, Waypoint
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward, joint_problem
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
@@ -300,6 +301,20 @@ def test_a_motion_that_is_too_long_at_once_is_cut_before_contact_alone(grasped) 
     assert segment_end(chained, cap_s, first + 1) == len(chained.stops) - 1
     short = limited(maximum_duration_s=0.2 * cap_s)
     assert refusal(*grasp(), setup=short, segments=8)[0] is Code.TOO_LONG, "contact itself is never cut"
+
+
+def test_tissue_counts_as_measured_where_tips_are_seen_over_cells_or_right_beside_them() -> None:
+    flat = tissue(1, 0.095)
+    over = transform(np.eye(3), np.array((0.01, 0.0, 0.075)))
+    assert measured_at(flat, over[None])
+    for near, measured in ((3, True), (9, False)):
+        valid = flat.valid.copy()
+        # the tips are seen at column 39, row 24
+        valid[24 - near // 2 : 25 + near // 2, 39 - near // 2 : 40 + near // 2] = False
+        told = {"valid": valid, "depth": valid * flat.depth, "deviation": valid * flat.deviation}
+        assert measured_at(dataclasses.replace(flat, **told), over[None]) == measured
+    beside = transform(np.eye(3), np.array((0.2, 0.0, 0.075)))
+    assert not measured_at(flat, np.stack((over, beside))), "every place counts, and one is out of view"
 
 
 def test_a_finger_that_would_go_into_the_tissue_is_refused_and_one_before_it_is_not() -> None:

@@ -84,7 +84,7 @@ def test_a_plan_whose_frame_echoes_an_old_challenge_is_refused_whatever_the_came
     drive.tick(SECOND + TICK)
     drive.see()
     drive.publish(plan(stamp=stamp(drive.now_ns, *echoes)))
-    assert drive.arm().code == "frame_age"
+    assert drive.arm().code == "stale"
     drive.armed()
 
 

@@ -55,8 +55,12 @@ class RecordingArm(SimulatedPsm):
         self.was_halted = True
         self.hold()
 
-    def rearm(self) -> None:
+    def lets_through(self, arming_id: str) -> bool:
+        return True
+
+    def rearm(self, asked_ns: int) -> bool:
         self.was_halted = False
+        return True
 
     def change_state(self, word: StateWord, now_ns: int) -> str:
         self.told.append(word.name.lower())

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.robot_bridge.limits import MotionLimits
+from agents.robot_bridge.limits import PSM_JOINT_SPEEDS, MotionLimits
 from schemas.messages import CommandHeader, Hold
 from schemas.topics import HOLD
 from shared.clock import monotonic_s
@@ -42,7 +42,8 @@ BRISK = MotionLimits(
     jaw_jerk=24000.0,
     rounding_s=0.02,
 )
-LIMITS = (MotionLimits(), MotionLimits().slowed(0.3), BRISK)
+RIGS = MotionLimits(joint_speeds=PSM_JOINT_SPEEDS)
+LIMITS = (RIGS, RIGS.slowed(0.3), BRISK)
 LAGS_S = (0.0, 0.0, 0.02)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from agents.configuration.sections import DvrkSection
 from agents.dvrk_emulator.arm import start_of
 from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
+from agents.dvrk_emulator.geometry import JAW_LIMITS
 from agents.dvrk_emulator.oracle import Field, Oracle
 from agents.dvrk_emulator.wire import Outlet
 from agents.guard import cdr
@@ -36,6 +37,8 @@ from schemas.messages import (
     RobotState,
 )
 from schemas.topics import ARM, EXECUTION, FRAME_NOTICE, HEARTBEAT, PLAN, ROBOT_STATE, Topic
+from shared.calibration.jaw.file import JawZero
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.ros import guarded as between
 from shared.ros.guarded import GuardedError, SetPoint, key_of
@@ -49,6 +52,7 @@ HZ = 200.0
 TICK_NS = round(1e9 / HZ)
 BEAT_NS = 50_000_000
 EPOCH_NS, SECOND_NS = 1_700_000_000_000_000_000, 10**9
+LONG_NS = 600 * SECOND_NS
 
 
 class Topics:
@@ -149,9 +153,17 @@ class Link:
 class WorldGuard:
     """The guard between bridge and console; `actions` is what it did beside passing set points on."""
 
-    def __init__(self, arm: str, topics: Topics, now_ns: Callable[[], int], judges: bool) -> None:
+    def __init__(self, arm: str, topics: Topics, now_ns: Callable[[], int], judges: bool, limits: MotionLimits) -> None:
+        """Of a bridge with these limits, it lets axes go as fast as they can where those are brisker than a rig's."""
         self._name, self._topics, self._now_ns, self._judges = arm.upper(), topics, now_ns, judges
-        document = {**description_of(arm, DvrkSection(endpoint="tcp/127.0.0.1:1", arm=self._name)), "rate_hz": HZ}
+        document: dict[str, Any] = {
+            **description_of(arm, DvrkSection(endpoint="tcp/127.0.0.1:1", arm=self._name)),
+            "rate_hz": HZ,
+        }
+        if limits.joint_speeds is None:
+            speeds = (*LARGE_NEEDLE_DRIVER.max_speeds.tolist(), LARGE_NEEDLE_DRIVER.jaw_max_speed)
+            axes: list[list[float]] = document["axes"]
+            document["axes"] = [[*axis[:2], speed] for axis, speed in zip(axes, speeds, strict=True)]
         self.monitor, self.actions = Monitor(Description.from_document(document)), list[Action]()
         # it has been there for a while
         self.monitor.challenge(now_ns() - SETTLES_NS - 1)
@@ -211,14 +223,29 @@ class World:
     """
 
     def __init__(
-        self, limits: MotionLimits, lag_s: float, arm: str = RIG_ARM, topics: Topics | None = None, guarded: bool = True
+        self,
+        limits: MotionLimits,
+        lag_s: float,
+        arm: str = RIG_ARM,
+        topics: Topics | None = None,
+        guarded: bool = True,
+        jaw_stop_rad: float = JAW_LIMITS[0],
+        jaw_zero: JawZero | None = None,
     ) -> None:
-        """One arm of a rig; arms that share their topics are those of one console."""
+        """One arm of a rig; arms that share their topics are those of one console.
+
+        The fingers of its instrument touch at `jaw_stop_rad`, and the bridge is told of it by `jaw_zero`.
+        """
         self.now_ns, self.stands_by, self.faults = EPOCH_NS, False, 0
         self.topics, self._arm, name, base = topics or Topics(), arm, arm.upper(), SIMULATED_BASES[arm]
         self.oracle = Oracle(Field(base), hears_heartbeats=True)
         behaviour = Behaviour(
-            True, lag_s, start_of(name), now_ns=lambda: self.now_ns, monotonic_s=lambda: self.now_ns * 1e-9
+            True,
+            lag_s,
+            start_of(name),
+            jaw_stop_rad=jaw_stop_rad,
+            now_ns=lambda: self.now_ns,
+            monotonic_s=lambda: self.now_ns * 1e-9,
         )
         self.console = EmulatedConsole(self.topics, name, self.oracle, behaviour)
         self.backend = DvrkPsm(
@@ -232,15 +259,17 @@ class World:
             clock=lambda: self.now_ns,
             monotonic=lambda: self.now_ns,
         )
-        self.guard = WorldGuard(arm, self.topics, lambda: self.now_ns, guarded)
+        self.guard = WorldGuard(arm, self.topics, lambda: self.now_ns, guarded, limits)
         self.topics.guards.append(self.guard)
         of_camera: dict[str, Any] = {"calibration_id": "c", "registered_ns": EPOCH_NS, "tissue_needed": False}
-        config = RobotBridgeConfig(arm, base, tick_hz=HZ, limits=limits, **of_camera)
+        config = RobotBridgeConfig(arm, base, tick_hz=HZ, limits=limits, jaw_zero=jaw_zero, **of_camera)
         self.bridge = RobotBridge(config, self.backend)
         self.armings, self.plan_id, self.arming_id, self._beat_ns = 0, "", "", 0
         self.events: list[ExecutionEvent] = []
         self.state: RobotState | None = None
         self.sees = True
+        # the bridge has been there for longer than any plan of these tests is old
+        self.step(Tick(EPOCH_NS - LONG_NS))
         self.tick(20)
 
     @property

@@ -91,6 +91,18 @@ def test_what_came_to_the_key_of_holds_and_cannot_be_read_halts_the_arm(robot, s
     assert (len(replies), len(robot.halted_s)) == (1, 1)
     assert stops_unread(HOLD, b"")
     assert not stops_unread(ARM, encode(Arm(new_header("a test"), "psm1", "p")))
+    assert stops_unread(CHANGE_STATE, b"\xff\xff"), "it may be of a newer version, and mean to"
+
+
+def test_an_arm_is_disabled_however_many_holds_wait_before_that(robot, session):
+    with ThreadPoolExecutor(16) as asking:
+        asking.submit(sent, session, ARM, Arm(new_header("a test"), "psm1", "plan"))
+        assert robot.arming.wait(20.0)
+        holds = [asking.submit(hold, session) for _ in range(12)]
+        disables = ChangeState(new_header("a test"), "psm1", StateWord.DISABLE)
+        answer = asking.submit(sent, session, CHANGE_STATE, disables).result()
+        assert {each.result().outcome for each in holds} == {Outcome.ACCEPTED}
+    assert (answer.outcome, ChangeState in robot.stepped) == (Outcome.ACCEPTED, True)
 
 
 def test_a_flood_of_holds_is_answered_and_keeps_no_tick_away(robot, session):

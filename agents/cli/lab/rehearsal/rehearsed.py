@@ -73,8 +73,8 @@ def _with_simulator(host: HostSection) -> HostSection:
 
 
 def _standing(name: str, arm: ArmSection, number: int) -> ArmSection:
-    """An arm before the simulated camera: a real one's registration is of another."""
-    if arm.dvrk is None and arm.T_camera_base_file is None:
+    """An arm before the simulated camera: a real one's registration is of another, and so is what its jaw does."""
+    if arm.dvrk is None and arm.T_camera_base_file is None and arm.jaw_file is None:
         return arm
     base = np.array(SIMULATED_BASES.get(name, SIMULATED_BASES["psm1"]))
     if name not in SIMULATED_BASES:
@@ -84,6 +84,7 @@ def _standing(name: str, arm: ArmSection, number: int) -> ArmSection:
     stands = {
         "T_camera_base": base.tolist(),
         "T_camera_base_file": None,
+        "jaw_file": None,
         "T_camera_base_calibration": SIMULATED_CALIBRATION,
         "T_camera_base_made": today.isoformat(),
     }

@@ -8,12 +8,15 @@ from typing import Any, ClassVar
 
 from agents.guard.links import RESTS_NS
 from agents.guard.monitor import Action
+from agents.robot_bridge.limits import PSM_JOINT_SPEEDS, MotionLimits
 from shared.ros.guarded import CHALLENGE, SetPoint, challenge_bytes, key_of
 from tests.rigs.robot.world import EPOCH_NS, NAME, RIG_ARM, Topics, WorldGuard
 from tests.rigs.robot.world import Link as RobotLink
 
 MS = 1_000_000
 TICK_NS = 10 * MS
+LIMITS = MotionLimits(joint_speeds=PSM_JOINT_SPEEDS)
+"""A rig's."""
 """A turn of bridge, guard and desk: the default of each."""
 ROBOT_LINKS = ("to robot", "from robot")
 RIG_LINKS = ("states", "answers", "guarded answers", "challenges", "frames", "pictures", "commands")
@@ -166,7 +169,7 @@ class Guard(WorldGuard):
     """The real monitor beside the console, which knows nothing of before; `issued`: when each challenge was."""
 
     def __init__(self, topics: ChainTopics, passed: Callable[[SetPoint], None]) -> None:
-        super().__init__(RIG_ARM, topics, lambda: TIME.now_ns, judges=True)
+        super().__init__(RIG_ARM, topics, lambda: TIME.now_ns, judges=True, limits=LIMITS)
         # nor has it been there for a while, as that of a world
         self.monitor = type(self.monitor)(self.monitor._robot)
         self.issued, self._passed = dict[int, int](), passed

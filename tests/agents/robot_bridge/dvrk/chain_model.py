@@ -49,7 +49,17 @@ from shared.runtime.clocks import AgentClock
 from shared.runtime.commands import untimely
 from shared.runtime.session import SessionSettings
 from tests.agents.robot_bridge.drive import plan
-from tests.agents.robot_bridge.dvrk.chain_links import MS, PAGES, RIG_LINKS, TICK_NS, TIME, ChainTopics, Guard, Network
+from tests.agents.robot_bridge.dvrk.chain_links import (
+    LIMITS,
+    MS,
+    PAGES,
+    RIG_LINKS,
+    TICK_NS,
+    TIME,
+    ChainTopics,
+    Guard,
+    Network,
+)
 from tests.rigs.robot.world import EPOCH_NS, NAME, RIG_ARM, SECOND_NS, TOOL
 
 PRESENT_NS, SEEN_NS, UNDER_WAY_NS = 250 * MS, 650 * MS, 110 * MS
@@ -61,7 +71,6 @@ FRAME_NS, GUARD_STARTS_NS, ANSWER_NS = 33 * MS, 300 * MS, 3 * SECOND_NS
 ENDS = (ExecutionKind.FINISHED, ExecutionKind.HELD, ExecutionKind.REFUSED)
 CONFIGURED: dict[str, Any] = {}
 """What bridges are configured with beside what they must be."""
-BLACK = np.zeros((8, 8, 3), np.uint8)
 
 
 @dataclass(eq=False)
@@ -133,7 +142,8 @@ class Bridge:
             clock=lambda: TIME.wall_ns("bridge"),
             monotonic=lambda: TIME.now_ns,
         )
-        told: dict[str, Any] = {"calibration_id": "c", "registered_ns": EPOCH_NS, "tissue_needed": False} | CONFIGURED
+        known = {"calibration_id": "c", "registered_ns": EPOCH_NS, "tissue_needed": False}
+        told: dict[str, Any] = known | {"limits": LIMITS} | CONFIGURED
         self.agent = RobotBridge(RobotBridgeConfig(RIG_ARM, SIMULATED_BASES[RIG_ARM], **told), self.backend)
         self.clock, self._ticked_ns = AgentClock(lambda: self.agent.keeps_time), 0
 
@@ -320,7 +330,8 @@ class Camera:
         self.sent_ns, now_ns = TIME.now_ns, TIME.wall_ns("camera")
         self.taken_ns = TIME.now_ns - round(self.sender.config.latency_ms * MS)
         self.sender.ticked(now_ns)
-        return self.sender.frame((BLACK, BLACK), now_ns).stamp
+        picture = np.full((8, 8, 3), self.sender.sent % 251, np.uint8)
+        return self.sender.frame((picture, picture), now_ns).stamp
 
 
 class Chain:
@@ -343,7 +354,7 @@ class Chain:
         self.console = EmulatedConsole(self.topics, NAME, oracle, Behaviour(True, 0.0, start_of(NAME), **clocks))
         self.guard: Guard | None = None
         self.start_guard()
-        self.bridges, self.camera = [Bridge(self.topics)], Camera()
+        self.bridges, self.camera, self.newest_plan = [Bridge(self.topics)], Camera(), None
         self.desk = Desk(self)
 
     def go(self, ticks: int) -> None:
@@ -414,12 +425,18 @@ class Chain:
         """It is killed, and begins anew; alone."""
         self.bridges.clear()
         self.topics.killed()
-        self.network.later(after_ns, lambda: None if self.bridges else self.bridges.append(Bridge(self.topics)))
+        self.network.later(after_ns, lambda: None if self.bridges else self._start_bridge())
+
+    def _start_bridge(self) -> None:
+        """It hears the newest plan anew, which the planner's cache has."""
+        self.bridges.append(Bridge(self.topics))
+        if self.newest_plan is not None:
+            self.receive(PLAN, self.newest_plan)
 
     def another_bridge(self) -> None:
         """A second one of the same arm, by mistake."""
         if len(self.bridges) == 1:
-            self.bridges.append(Bridge(self.topics))
+            self._start_bridge()
 
     def restart_page(self, after_ns: int = GUARD_STARTS_NS) -> None:
         """The server is killed, and begins anew; whoever presses presses a page that is gone."""
@@ -548,5 +565,6 @@ class Chain:
         poses = [transform(exp_so3(np.array((0.1, 0, 0.3))), np.array(point)) for point in points]
         waypoints = tuple(Waypoint(pose, 0.5, Phase.APPROACH, None) for pose in poses)
         made = plan(f"plan-{next(self._numbers)}", RIG_ARM, stamp=stamp, waypoints=waypoints)
+        self.newest_plan = made
         self.receive(PLAN, made)
         return made

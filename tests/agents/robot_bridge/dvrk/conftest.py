@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from agents.robot_bridge.limits import MotionLimits
 from schemas.messages import CommandAnswer, CommandHeader, GraspPlan, Outcome
 from tests.agents.robot_bridge.drive import SHORT_GRASP, plan
 from tests.rigs.robot.hostile import BRISK
@@ -16,8 +17,8 @@ AT_ONCE = replace(BRISK, contact_share=1.0)
 class Room(World):
     """Bridge, guard and console in virtual time, and somebody who arms and stands by."""
 
-    def __init__(self) -> None:
-        super().__init__(AT_ONCE, 0.0)
+    def __init__(self, limits: MotionLimits = AT_ONCE, lag_s: float = 0.0, **jaw: Any) -> None:
+        super().__init__(limits, lag_s, **jaw)
         self.stands_by = True
 
     def until(self, condition: Any) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.dvrk_emulator.messages import Joy, header
-from agents.robot_bridge.dvrk.frames_moved import LOCAL, MEASURED, SETTLED_NS, TIP, FramesWatch
+from agents.robot_bridge.dvrk.frames_moved import ECM_AGE_NS, LOCAL, MEASURED, SETTLED_NS, TIP, FramesWatch, Since
 from schemas.messages import ExecutionKind
 from shared.calibration.hand_eye.file import FLIP, HandEye, Reference
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_CAMERA_BASE
@@ -55,21 +55,88 @@ def test_a_base_that_is_told_from_the_ecm_follows_it():
     assert "does not come" in watch.judge(AT + 2 * SECOND_NS)
 
 
-def test_poses_of_two_times_tell_nothing_and_released_set_up_joints_stay_told():
-    def touched(button):
-        for pressed in (1, 0):
-            watch.hear_button(f"PSM1/io/{button}", Joy(header(0), [], [pressed]).serialize())
+def touched(watch, button):
+    for pressed in (1, 0):
+        watch.hear_button(f"PSM1/io/{button}", Joy(header(0), [], [pressed]).serialize())
 
+
+def stands(watch, at_ns, T_reference_base=T_CAMERA_BASE, kinds=(TIP, MEASURED, LOCAL), apart_ns=0):
+    """Have poses told of a camera that stands, and of a base that does."""
+    poses = {TIP: T_CAMERA_BASE, MEASURED: T_reference_base, LOCAL: np.eye(4)}
+    for kind in kinds:
+        watch.hear_pose(kind, crtk.pose_command(poses[kind], at_ns + (apart_ns if kind == LOCAL else 0)), at_ns)
+
+
+def test_poses_of_two_times_are_not_compared_and_a_button_counts_where_it_was_pressed_for_a_moment():
     watch = FramesWatch("PSM1", None)
-    watch.hear_pose(LOCAL, crtk.pose_command(np.eye(4), 0), AT)
-    watch.hear_pose(MEASURED, crtk.pose_command(np.eye(4), 0), AT)
+    stands(watch, AT)
     assert watch.judge(AT) == ""
-    watch.hear_pose(MEASURED, crtk.pose_command(exp_se3(np.full(6, 0.1)), 5_000_000), AT)
-    watch.hear_pose(TIP, b"", AT)
+    stands(watch, AT, exp_se3(np.full(6, 0.1)), (MEASURED, LOCAL), apart_ns=5_000_000)
     assert watch.judge(AT) == ""
-    touched("manip_clutch")
-    assert "PSM1/io/manip_clutch was pressed" in watch.judge(AT), "also where it was pressed for a moment"
+    touched(watch, "manip_clutch")
+    assert "PSM1/io/manip_clutch was pressed" in watch.judge(AT)
     assert watch.judge(AT + SETTLED_NS) == ""
-    touched("suj_clutch")
-    for later in (10, 20):
-        assert "register the base anew" in watch.judge(AT + later * SETTLED_NS)
+
+
+@pytest.mark.parametrize(
+    ("comes", "why"),
+    [
+        ({"kinds": (MEASURED, LOCAL)}, "comes no more"),
+        ({"kinds": (TIP, LOCAL)}, "is told no more"),
+        ({"kinds": (TIP, MEASURED)}, "is told no more"),
+        ({"apart_ns": 5_000_000}, "is told no more"),
+    ],
+)
+def test_what_was_told_of_camera_or_base_and_comes_no_more_speaks_against_moving(comes, why):
+    watch = FramesWatch("PSM1", None)
+    stands(watch, AT)
+    assert watch.judge(AT) == ""
+    told, now_ns = "", AT
+    for later in range(1, 4):
+        now_ns = AT + later * ECM_AGE_NS // 2
+        stands(watch, now_ns, **comes)
+        told = watch.judge(now_ns)
+    assert why in told
+    stands(watch, now_ns)
+    assert watch.judge(now_ns) == "", "it comes again, and stands where it stood"
+    watch.hear_pose(TIP, b"", now_ns)
+    assert "comes no more" in watch.judge(now_ns), "what cannot be read tells nothing"
+
+
+def test_a_bridge_that_begins_anew_still_holds_what_moved_against_the_same_registration(tmp_path):
+    def begun(registration="one"):
+        return FramesWatch("PSM1", None, Since(tmp_path / "kept" / "psm1.json", registration))
+
+    watch = begun()
+    stands(watch, AT)
+    assert watch.judge(AT) == ""
+    moved = T_CAMERA_BASE @ exp_se3(np.array((0.005, 0, 0, 0, 0, 0)))
+    watch = begun()
+    stands(watch, AT, moved)
+    assert "the base, by its set-up joints or the camera's, is 5.0 mm" in watch.judge(AT), "moved while nobody heard"
+    watch = begun("two")
+    stands(watch, AT, moved)
+    assert watch.judge(AT) == ""
+    touched(watch, "suj_clutch")
+    for _ in range(2):
+        stands(watch, AT + 20 * SETTLED_NS, moved)
+        assert "register the base anew" in watch.judge(AT + 20 * SETTLED_NS)
+        watch = begun("two")
+    assert "register the base anew" not in begun("three").judge(AT)
+    (tmp_path / "kept" / "psm1.json").write_text("{")
+    assert "cannot be read" in begun("two").judge(AT)
+
+
+def test_where_what_moved_cannot_be_kept_nothing_moves(tmp_path):
+    (tmp_path / "kept").write_text("a file where a folder should be")
+    watch = FramesWatch("PSM1", None, Since(tmp_path / "kept" / "psm1.json", "one"))
+    stands(watch, AT)
+    assert "cannot be written" in watch.judge(AT)
+
+
+def test_a_clock_that_is_set_back_makes_no_frame_of_afterwards_one_of_before():
+    watch = FramesWatch("PSM1", None)
+    touched(watch, "manip_clutch")
+    watch.judge(AT)
+    watch.judge(AT - 60 * SECOND_NS)
+    assert watch.still_since_ns == AT - 60 * SECOND_NS

@@ -200,11 +200,15 @@ def test_a_console_that_is_disabled_busy_has_another_tool_or_is_elsewhere_is_not
 
 @pytest.mark.slow
 def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_has_it(room, monkeypatch):
-    def change(word):
-        return room.command(CHANGE_STATE, ChangeState(room.header(), "psm1", StateWord[word]))
+    def change(word, **presence):
+        told = presence or {"challenge_ns": room.state.challenge_ns, "pressed": True}
+        return room.command(CHANGE_STATE, ChangeState(room.header(), "psm1", StateWord[word], **told))
 
     room.ready()
     arm = room.console._arm
+    for word in ("RESUME", "ENABLE", "HOME"):
+        assert change(word, challenge_ns=room.state.challenge_ns).code == "no_presence", word
+        assert change(word, pressed=True).code == "round_trip", word
     assert "PAUSED" in change("RESUME").reason, "it is not paused"
     for word, state in (("PAUSE", "PAUSED"), ("RESUME", "ENABLED"), ("DISABLE", "DISABLED"), ("ENABLE", "ENABLED")):
         told = len(room.events)
@@ -213,9 +217,9 @@ def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_
         assert (room.events[-1].kind, arm.state) == (ExecutionKind.FINISHED, state)
     room.bridge.configure(replace(room.bridge.config, ratio=0.3))
     assert change("HOME").outcome is Outcome.ACCEPTED
-    assert arm._ratio == 0.3
+    assert (room.try_to_arm().code, arm._ratio) == ("busy", 0.3)
     room.until(lambda: not arm.is_homed and "not homed" in room.backend.state(room.now_ns).reason)
-    assert room.try_to_arm().code == "not_homed"
+    assert room.try_to_arm().code == "busy"
     room.until(lambda: room.events[-1].plan_id == "state home")
     assert (room.events[-1].kind, arm.is_homed) == (ExecutionKind.FINISHED, True)
     room.ready()
@@ -233,6 +237,36 @@ def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_
     assert change("HOME").code == "busy"
     assert arm.is_homed
     assert room.verdict()["unsafe"] == 0
+
+
+def test_whoever_says_hold_has_a_console_that_homes_pause(room):
+    room.ready()
+    told = {"challenge_ns": room.state.challenge_ns, "pressed": True}
+    assert room.command(CHANGE_STATE, ChangeState(room.header(), "psm1", StateWord.HOME, **told)).code == ""
+    room.tick(20)
+    assert room.command(HOLD, Hold(room.header(), "psm1")).code == ""
+    room.tick(200)
+    assert (room.console._arm.state, room.console._arm.is_homed) == ("PAUSED", False)
+
+
+def test_a_hold_at_the_console_after_the_last_challenge_that_whoever_arms_had_heard_keeps_the_arm_where_it_is(room):
+    room.ready()
+    room.publish(room.plan())
+    room.topics.tell_bridge("PSM1/hold", crtk.empty())
+    answer = room.arm_again()
+    assert (answer.code, "somebody said hold at the console" in answer.reason) == ("hold_command", True)
+    room.tick(20)
+    assert not room.moves
+    assert room.try_to_arm().code == ""
+
+
+def test_a_motion_begins_when_its_guard_lets_it_through_and_ends_where_that_never_does(room, monkeypatch):
+    room.ready()
+    before = room.verdict()["position"]
+    monkeypatch.setattr(room.backend, "lets_through", lambda _arming: False)
+    assert room.try_to_arm().code == ""
+    assert held(room).code == "no_guard"
+    assert np.abs(np.subtract(room.verdict()["position"], before)).max() < 1e-9
 
 
 def test_a_dry_run_checks_all_of_a_motion_and_sends_nothing(room):
@@ -296,11 +330,12 @@ def test_what_a_console_never_told_is_not_known_until_it_tells_it():
         return SimpleNamespace(failed="", broken=0, open=lambda: None, say=lambda *_: True)
 
     arm = DvrkPsm("PSM1", SessionSettings(), Ros2dds(), "", dry_run=False, linked=linked, clock=lambda: EPOCH_NS)
-    assert len(arm.state(EPOCH_NS).untold) == 3
+    topics = "footpedals/clutch", "ECM/local/measured_cp", "PSM1/measured_cp", "console/teleop/enabled"
+    assert len(arm.state(EPOCH_NS).untold) == len(topics)
     # also what cannot be read has been told
-    for left, topic in enumerate(("footpedals/clutch", "ECM/local/measured_cp", "console/teleop/enabled")):
+    for told, topic in enumerate(topics, 1):
         heard[topic](b"", EPOCH_NS)
-        assert len(arm.state(EPOCH_NS).untold) == 2 - left, topic
+        assert len(arm.state(EPOCH_NS).untold) == len(topics) - told, topic
 
 
 def test_challenges_come_often_while_a_plan_may_be_armed_so_that_the_way_of_an_answer_is_known(room):

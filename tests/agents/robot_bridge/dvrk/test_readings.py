@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.dvrk_emulator.messages import JointState, OperatingState, header
+from agents.dvrk_emulator.messages import JointState, OperatingState, String, header
 from agents.robot_bridge.backend import Readiness
 from agents.robot_bridge.dvrk.readings import CLOCK_SET_NS, POSE_AGE_NS, SAME_TIME_NS, Readings
 from schemas.messages import StateWord
@@ -111,6 +111,22 @@ def test_joints_and_pose_of_two_times_are_compared_only_where_the_arm_stands_sti
     told.joints(end_ms + POSE_AGE_NS // MS, turned)
     told.pose(end_ms + POSE_AGE_NS // MS)
     assert told.judged()[1] == "other_pose"
+
+
+@pytest.mark.parametrize(
+    ("effort", "told_nm"), [([-0.3], -0.3), ([], None), ([float("nan")], None), ([1.0, 2.0], None)]
+)
+def test_the_effort_of_a_jaw_is_told_where_it_is_one_finite_number_and_speaks_against_nothing(told, effort, told_nm):
+    told.tell(10)
+    told.hear("jaw/measured_js", JointState(header(STAMP + 11 * MS), ["jaw"], [0.2], [], effort).serialize())
+    measured, against = told.judged()
+    assert (measured.jaw_rad, measured.jaw_effort, against) == (0.2, told_nm, None)
+
+
+@pytest.mark.parametrize(("said", "instrument"), [("LND:400006", "LND:400006"), ("", ""), ("a\x00b", "")])
+def test_the_instrument_is_what_the_console_calls_the_tool_where_that_is_a_name(told, said, instrument):
+    told.readings.hear_tool(String(said).serialize(), told.now_ns)
+    assert told.readings.instrument == instrument
 
 
 def test_a_pose_that_does_not_come_any_more_is_stale(told):

@@ -79,11 +79,21 @@ def test_what_is_not_told_or_cannot_be_read_is_not_watched():
     assert watch.judge(START + 10 * WINDOW_NS) is None, "what was said so long ago says nothing"
 
 
+def test_where_the_console_has_the_jaw_head_is_told_as_it_said_last():
+    watch = SetPointsWatch("PSM1")
+    assert watch.jaw_rad is None
+    for data, told in ((crtk.joint_command(np.array([0.3]), START), 0.3), (b"", None)):
+        watch.hear("jaw/setpoint_js", data, START)
+        assert watch.jaw_rad == told
+
+
 def test_a_jaw_that_stands_through_a_long_motion_is_ours_to_its_end():
     link = GuardLink("PSM1", lambda _key, _payload: True, lambda: 0)
     for number in range(REMEMBERED + 100):
         joints = tuple(1e-4 * number + 0.1 * axis for axis in range(6))
         link.move((*joints, 0.5), "a")
-        assert link.ours(crtk.joint_command(np.array(joints), 0))
-        assert link.ours(crtk.joint_command(np.array([0.5]), 0))
-    assert not link.ours(crtk.joint_command(np.array([0.6]), 0))
+        assert link.ours(crtk.joint_command(np.array(joints), 0), 6)
+        assert link.ours(crtk.joint_command(np.array([0.5]), 0), 1)
+    assert not link.ours(crtk.joint_command(np.array([0.6]), 0), 1)
+    strange = np.array((9.0, 9.0, 9.0, 9.0, 9.0, 0.5))
+    assert not link.ours(crtk.joint_command(strange, 0), 6), "joints of somebody else, the last of which is our jaw's"
