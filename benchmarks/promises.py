@@ -30,8 +30,6 @@ from rich.table import Table
 
 from agents.camera.scene_source import calibration_of
 from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
-from agents.evaluation.look import seen_places
-from agents.evaluation.results import EDGES
 from agents.planner.agent import reaches_of
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
@@ -39,6 +37,8 @@ from agents.planner.plan import plan_grasp
 from agents.planner.wedge import wedge_probability
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
+from agents.simulated_trials.look import seen_places
+from agents.simulated_trials.results import EDGES
 from agents.simulator.fingers import between
 from agents.simulator.judgement import GIVE_M
 from benchmarks.calibrations import drawn_errors, hand_eye, wrongly

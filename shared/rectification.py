@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from schemas.messages import Image, RectifiedStereo, RightEye, StereoCalibration, StereoFrame
-from shared.both_eyes import of_both
 from shared.camera import is_rectified
 from shared.images import decode_image
+from shared.in_parallel import of_both
 from shared.right_eye import in_line
 
 Pair = tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]

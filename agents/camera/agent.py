@@ -26,9 +26,9 @@ from schemas.messages import (
     StereoFrame,
 )
 from schemas.topics import CALIBRATION, FRAME_NOTICE, FRAMES, ROBOT_STATE, SIMULATOR_STATE
-from shared.both_eyes import of_both
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
+from shared.in_parallel import of_both
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output, Received, Tick
 from shared.runtime.parameters import Between, settable
 

@@ -17,9 +17,9 @@ from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in
 from agents.perception.segmenter_names import NETWORK, THRESHOLD
 from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
-from shared.both_eyes import of_both
 from shared.disparities import disparities_of
 from shared.images import decode_image
+from shared.in_parallel import of_both
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 

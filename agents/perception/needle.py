@@ -24,8 +24,8 @@ from schemas.messages import (
     RectifiedStereo,
     ThreadObservations,
 )
-from shared.both_eyes import of_both
 from shared.images import decode_image
+from shared.in_parallel import of_both
 
 REACH_SHARE = 0.16
 """Of the image's width, around where a needle may be: as far as one of 18 mm across reaches at 10 cm."""

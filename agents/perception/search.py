@@ -20,8 +20,8 @@ from agents.perception.schedule import judged_in
 from agents.perception.segmentation.boxes import Near
 from agents.perception.segmentation.choice import SCORED, SEGMENTERS, Segmenter, suitable_segmenter
 from schemas.messages import Judgement, Status, ThreadObservations
-from shared.both_eyes import of_both
 from shared.images import decode_image
+from shared.in_parallel import of_both
 
 FRAMES_BETWEEN_LOOKS = 60
 """Of the camera: about two seconds, after which thread that came into view elsewhere is seen too. A look takes as long

@@ -17,7 +17,7 @@ class PlannerConfig:
     Fields:
         samples: candidates for the capture, evenly spaced along the thread.
         keep_probability: that the thread stays between the fingers from one sample to the next.
-        least_probability: below which a plan is rejected, and below which confidence nothing is slid along or grasped.
+        least_probability: below which a plan is rejected, and below which nothing is slid along or grasped on the way.
         goal_within_px, goal_within_m: how far off the thread a goal may lie.
         depth_m: how far the fingertips reach beyond the thread.
         standoff_m, retreat_m: where the approach starts, and how far the tool lifts at the end.

@@ -1,1 +1,1 @@
-"""A light renderer: a stereo pair of a thread with an exactly known centreline over procedural tissue."""
+"""Synthetic stereo pairs of thread with exactly known truth, by a light renderer and path-traced."""

@@ -16,14 +16,14 @@ from agents.cli.evaluate.pictures import field_pictures, moments, strip
 from agents.cli.evaluate.trials import Table, WorkError, all_tried
 from agents.cli.recordings.recompute import write_recording
 from agents.cli.whole_file import whole_file
-from agents.evaluation.journal import Journal
-from agents.evaluation.look import Came
-from agents.evaluation.protocol import Protocol, threads_of, trials_on
-from agents.evaluation.report import document, report
-from agents.evaluation.results import results_of
-from agents.evaluation.table import overview
-from agents.evaluation.trial import RIG
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
+from agents.simulated_trials.journal import Journal
+from agents.simulated_trials.look import Came
+from agents.simulated_trials.protocol import Protocol, threads_of, trials_on
+from agents.simulated_trials.report import document, report
+from agents.simulated_trials.results import results_of
+from agents.simulated_trials.table import overview
+from agents.simulated_trials.trial import RIG
 from schemas.messages import ImageEncoding
 from shared.recording.mcap_file import Note
 from shared.rendering.render import SceneError

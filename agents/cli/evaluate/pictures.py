@@ -10,9 +10,9 @@ from jaxtyping import UInt8
 from agents.camera.sources import Pair
 from agents.cli.evaluate.scenes import scenery_of
 from agents.cli.evaluate.views import FieldView
-from agents.evaluation.look import Came
-from agents.evaluation.protocol import Laid, Protocol, threads_of
-from agents.evaluation.report import Picture
+from agents.simulated_trials.look import Came
+from agents.simulated_trials.protocol import Laid, Protocol, threads_of
+from agents.simulated_trials.report import Picture
 from schemas.codec import decode
 from schemas.messages import ExecutionEvent, ExecutionKind, RobotState, SimulatorState
 from schemas.topics import EXECUTION, ROBOT_STATE, SIMULATOR_STATE, topic_of

@@ -10,7 +10,7 @@ from jaxtyping import Float64, UInt8
 from agents.camera.scene_source import SceneSource, calibration_of, camera_in_mm
 from agents.camera.sources import Pair
 from agents.cli.lab.scenes import endoscope
-from agents.evaluation.protocol import Laid, Protocol, scene_seed
+from agents.simulated_trials.protocol import Laid, Protocol, scene_seed
 from agents.simulator.agent import ENDOSCOPE, Simulator, SimulatorConfig
 from agents.simulator.field import DEGREE, Field, field_with, starting_first
 from schemas.messages import SimulatorState, StereoCalibration

@@ -22,14 +22,14 @@ from agents.camera.sources import Pair
 from agents.cli.evaluate.scenes import Scenery, first_state, scenery_of
 from agents.cli.evaluate.views import FieldView
 from agents.configuration.rig import ReconstructionSection, RigConfig, simulated_rig
-from agents.evaluation.look import Came, Look, looked, seen_places
-from agents.evaluation.protocol import Laid, MethodName, Protocol, Trial, hand_eye_seed, injected_m, tool_seed
-from agents.evaluation.table import SpeedLimits
-from agents.evaluation.trial import CAPTURED_NS, Again, Cast, Told, carried_out
 from agents.launch.builders import build
 from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
 from agents.robot_bridge.limits import MotionLimits
+from agents.simulated_trials.look import Came, Look, looked, seen_places
+from agents.simulated_trials.protocol import Laid, MethodName, Protocol, Trial, hand_eye_seed, injected_m, tool_seed
+from agents.simulated_trials.table import SpeedLimits
+from agents.simulated_trials.trial import CAPTURED_NS, Again, Cast, Told, carried_out
 from agents.simulator.agent import Simulator, SimulatorConfig
 from agents.simulator.field import DEGREE
 from schemas.messages import ImageEncoding, RobotState, SimulatorState, Status

@@ -7,9 +7,9 @@ import pytest
 
 from agents.cli.evaluate import trials
 from agents.cli.evaluate.trials import Table, planner_config
-from agents.evaluation.look import Came
-from agents.evaluation.protocol import Protocol, hand_eye_seed, injected_m, threads_of, trials_on
-from agents.evaluation.trial import Told
+from agents.simulated_trials.look import Came
+from agents.simulated_trials.protocol import Protocol, hand_eye_seed, injected_m, threads_of, trials_on
+from agents.simulated_trials.trial import Told
 from tests.agents.cli.conftest import refused
 
 FIELD = ("--images", "light", "--config", "easy", "--background", "chicken", "--threads", "1")

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.evaluation.look import Came, Look
-from agents.evaluation.protocol import Trial
-from agents.evaluation.table import SpeedLimits, least_time_s
+from agents.simulated_trials.look import Came, Look
+from agents.simulated_trials.protocol import Trial
+from agents.simulated_trials.table import SpeedLimits, least_time_s
 from schemas.messages import (
     Arm,
     CommandAnswer,

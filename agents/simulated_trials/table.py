@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from agents.evaluation.protocol import Protocol
-from agents.evaluation.results import Compared, Durations, Rate, Results, Row
+from agents.simulated_trials.protocol import Protocol
+from agents.simulated_trials.results import Compared, Durations, Rate, Results, Row
 from shared.rigid_transforms import angle_between
 from shared.success_rates import Interval
 

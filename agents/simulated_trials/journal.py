@@ -9,8 +9,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from agents.evaluation.look import Came
-from agents.evaluation.protocol import Protocol, Trial
+from agents.simulated_trials.look import Came
+from agents.simulated_trials.protocol import Protocol, Trial
 from shared.runtime.config import ConfigError
 
 

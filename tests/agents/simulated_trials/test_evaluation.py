@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.evaluation.journal import Journal
-from agents.evaluation.look import Came
-from agents.evaluation.protocol import Protocol, hand_eye_seed, injected_m, threads_of, tool_seed, trials_on
-from agents.evaluation.report import as_html, report
-from agents.evaluation.results import reliability, results_of
-from agents.evaluation.table import SpeedLimits, falls_at, least_time_s, overview, sweeps
+from agents.simulated_trials.journal import Journal
+from agents.simulated_trials.look import Came
+from agents.simulated_trials.protocol import Protocol, hand_eye_seed, injected_m, threads_of, tool_seed, trials_on
+from agents.simulated_trials.report import as_html, report
+from agents.simulated_trials.results import reliability, results_of
+from agents.simulated_trials.table import SpeedLimits, falls_at, least_time_s, overview, sweeps
 from shared.runtime.config import ConfigError
 
 TOLD = {

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from shared.both_eyes import of_both
+from shared.in_parallel import of_both
 
 
 def test_each_eye_has_its_own_result_or_error_and_both_are_worked_on_at_once():

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from agents.evaluation.look import Came
-from agents.evaluation.protocol import Protocol
-from agents.evaluation.results import Compared, Rate, Reliability, Results
-from agents.evaluation.table import FALLS_TO, Sweep, named, overview, sweeps
+from agents.simulated_trials.look import Came
+from agents.simulated_trials.protocol import Protocol
+from agents.simulated_trials.results import Compared, Rate, Reliability, Results
+from agents.simulated_trials.table import FALLS_TO, Sweep, named, overview, sweeps
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 420, 300, 45, 40
 COLOURS = ("#b04a4a", "#d9a441", "#3b6ea8", "#3f8f5b")

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float64
 
-from agents.evaluation.protocol import Trial
+from agents.simulated_trials.protocol import Trial
 from schemas.messages import Status, StereoCalibration, StereoFrame, ThreadReconstruction
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, SURFACE, THREAD, Topic, key
 from shared.runtime.agent import Agent, Output, Received, outputs_in

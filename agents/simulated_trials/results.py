@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.evaluation.look import Came
-from agents.evaluation.protocol import Protocol
+from agents.simulated_trials.look import Came
+from agents.simulated_trials.protocol import Protocol
 from shared.published_rates import TOTALS, published_rate
 from shared.success_rates import Interval, difference_over_threads, mcnemar, rate_over_threads, wilson
 

@@ -1,1 +1,0 @@
-"""The paper's experiment on grasping: in which order to try, what came of it, and what that says."""
