@@ -2,6 +2,7 @@
 
 import dataclasses
 import threading
+from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -126,10 +127,13 @@ CLOCK_SET_NS = 1 * SECOND_NS
 POSE_AGE_NS = SECOND_NS // 2
 SAME_M, SAME_RAD = 0.003, 0.1
 """How near the console's own pose must be to that of our kinematics; tools differ by more."""
-SAME_TIME_NS = 5_000_000
-"""Joints and pose are compared where the robot's clock has them at one time: an arm moves 0.4 mm meanwhile."""
-STANDS = 1e-3
-"""Or where no joint (rad, m) has moved by as much since the turn before: then any two times will do."""
+NEAR_NS = 50_000_000
+"""A pose is compared with the joints of its own time, between two measurements so near to each other: an arm moves by
+4 mm meanwhile, and along a line but for a small part of that. Or after the last one, where the arm stood before."""
+SAME_TIME_NS, STANDS = 5_000_000, 1e-3
+"""An arm moves by 0.4 mm meanwhile; an arm none of whose joints (rad, m) has moved by as much stands."""
+KEPT = 64
+"""Measurements of joints, and poses that wait for those of their time: a third of a second of them at 200 Hz."""
 
 
 KINDS: tuple[str, ...] = ("measured_js", "jaw/measured_js", "local/measured_cp")
@@ -151,7 +155,8 @@ class Measured:
 
 
 NO_EFFORT = np.zeros(0)
-NOTHING = Measured(0, np.full(6, np.nan), float("nan"))
+UNKNOWN = np.full(6, np.nan)
+NOTHING = Measured(0, UNKNOWN, float("nan"))
 
 
 class _Apart(NamedTuple):
@@ -160,6 +165,10 @@ class _Apart(NamedTuple):
     at_ns: int
     metres: float
     radians: float
+
+    def off(self) -> float:
+        """In what is allowed."""
+        return max(self.metres / SAME_M, self.radians / SAME_RAD)
 
 
 class Readings:
@@ -173,7 +182,9 @@ class Readings:
         self._stamps = dict.fromkeys(KINDS, 0)
         self._decoded = dict.fromkeys(KINDS, Raw(b"", 0))
         self._newest: dict[str, tuple[int, np.ndarray]] = {}
-        self._faulty, self._apart, self._before = "", _Apart(0, 0.0, 0.0), NOTHING.joints
+        self._faulty, self._apart = "", _Apart(0, 0.0, 0.0)
+        self._joints = deque[tuple[int, np.ndarray]](maxlen=KEPT)
+        self._poses = deque[tuple[int, int, np.ndarray]](maxlen=KEPT)
         self._jaw_effort: float | None = None
 
     def hear(self, kind: str, data: bytes, arrived_ns: int) -> None:
@@ -258,7 +269,7 @@ class Readings:
             or self._reading()
             or self._tool_mounted(said)
             or others(said, commanded_ns, now_ns)
-            or self._same_place(measured, now_ns)
+            or self._same_place(now_ns)
             or Judged(Readiness.READY)
         )
 
@@ -307,23 +318,43 @@ class Readings:
         other = f"its tool is {said.tool or 'not told'}, and the kinematics are of {self._tool}"
         return Judged(Readiness.DISABLED, Code.WRONG_TOOL, other)
 
-    def _same_place(self, measured: Measured, now_ns: int) -> Judged | None:
+    def _same_place(self, now_ns: int) -> Judged | None:
         """Whether the console's own pose of the tool is where our kinematics have it."""
-        at_ns, T = self._newest.get("local/measured_cp", (0, np.eye(4)))
-        between_ns = abs(self._stamps["local/measured_cp"] - self._stamps["measured_js"])
-        stands, self._before = bool((np.abs(measured.joints - self._before) < STANDS).all()), measured.joints
-        if between_ns <= SAME_TIME_NS or stands:
-            ours = self._kinematics.forward(measured.joints)
+        found = list[_Apart]()
+        while self._poses and (joints := self._joints_at(self._poses[0][0])) is not None:
+            _, at_ns, T = self._poses.popleft()
+            if joints is UNKNOWN:
+                continue
+            ours = self._kinematics.forward(joints)
             apart_m = float(np.linalg.norm(T[:3, 3] - ours[:3, 3]))
-            self._apart = _Apart(at_ns, apart_m, float(angle_between(T[:3, :3], ours[:3, :3])))
+            found.append(_Apart(at_ns, apart_m, float(angle_between(T[:3, :3], ours[:3, :3]))))
+        # of several since the turn before the worst one counts
+        self._apart = max(
+            found, key=lambda each: max(each.metres / SAME_M, each.radians / SAME_RAD), default=self._apart
+        )
         if now_ns - self._apart.at_ns > POSE_AGE_NS:
             silent = "its local/measured_cp, by which the kinematics are checked, does not come with its measured_js"
             return Judged(Readiness.FAULT, Code.STALE_STATE, silent)
-        if self._apart.metres <= SAME_M and self._apart.radians <= SAME_RAD:
+        if self._apart.off() <= 1:
             return None
         where = f"{1e3 * self._apart.metres:.1f} mm and {self._apart.radians:.2f} rad"
         other = f"its console has the tool {where} from where our kinematics do: another arm or tool"
         return Judged(Readiness.FAULT, Code.OTHER_POSE, other)
+
+    def _joints_at(self, stamp_ns: int) -> Float64[np.ndarray, "6"] | None:
+        """The joints at a time of the robot's clock: None where they are not known yet, UNKNOWN if they never will."""
+        after = next((i for i, (at_ns, _) in enumerate(self._joints) if at_ns >= stamp_ns), len(self._joints))
+        if after == len(self._joints):
+            *_, (one_ns, one), (other_ns, other) = ((0, NOTHING.joints), (0, NOTHING.joints), *self._joints)
+            stood = other_ns - one_ns > 0 and bool((np.abs(other - one) < STANDS).all())
+            return other if stamp_ns - other_ns <= (NEAR_NS if stood else SAME_TIME_NS) else None
+        other_ns, other = self._joints[after]
+        if after == 0:
+            return other if other_ns - stamp_ns <= SAME_TIME_NS else UNKNOWN
+        one_ns, one = self._joints[after - 1]
+        if other_ns - one_ns > NEAR_NS and not (np.abs(other - one) < STANDS).all():
+            return UNKNOWN
+        return one + (stamp_ns - one_ns) / (other_ns - one_ns) * (other - one)
 
     def _read(self, kind: str, newest: Raw) -> None:
         try:
@@ -345,10 +376,17 @@ class Readings:
                 self._stamps[kind] = before_ns
                 return
             self._clocks[kind].forget()
+            # those of before are of another time
+            {"measured_js": self._joints, "local/measured_cp": self._poses}.get(kind, deque()).clear()
         if kind == "jaw/measured_js":
             told = effort.size == 1 and np.isfinite(effort).all()
             self._jaw_effort = float(effort[0]) if told else None
-        self._newest[kind] = self._clocks[kind].measured_ns(stamp_ns, newest.arrived_ns), values
+        at_ns = self._clocks[kind].measured_ns(stamp_ns, newest.arrived_ns)
+        self._newest[kind] = at_ns, values
+        if kind == "measured_js":
+            self._joints.append((stamp_ns, values))
+        elif kind == "local/measured_cp":
+            self._poses.append((stamp_ns, at_ns, values))
 
 
 def _text(data: bytes) -> str:

@@ -171,7 +171,10 @@ def test_a_console_that_is_disabled_busy_has_another_tool_or_is_elsewhere_is_not
     room.ready()
     arm, asks, tells = room.console._arm, room.console.request, room.topics.tell_bridge
     beside = room.backend.kinematics.forward(np.array((0.0, 0, 0.1, 0, 0, 0)))
-    elsewhere = crtk.pose_command(beside, room.now_ns)
+
+    def tells_elsewhere():
+        tells("PSM1/local/measured_cp", crtk.pose_command(beside, room.now_ns + 1))
+
     for happens, code, reason, is_over in (
         (lambda: says_state(room, "ENABLED", True, True), "other_owner", "busy with a motion that is not ours", None),
         (lambda: arm.command("disable"), "not_enabled", "DISABLED, not ENABLED", lambda: arm.command("enable")),
@@ -179,7 +182,7 @@ def test_a_console_that_is_disabled_busy_has_another_tool_or_is_elsewhere_is_not
         (lambda: setattr(arm, "is_homed", False), "not_homed", "", lambda: setattr(arm, "is_homed", True)),
         (lambda: asks("unreached"), "goal_not_reached", "", None),
         (lambda: asks("fault"), "error_state", "", lambda: arm.command("enable")),
-        (lambda: tells("PSM1/local/measured_cp", elsewhere), "other_pose", "another arm or tool", None),
+        (tells_elsewhere, "other_pose", "another arm or tool", None),
         (lambda: asks("mute"), "stale_state", "", lambda: asks("speak")),
     ):
         happens()

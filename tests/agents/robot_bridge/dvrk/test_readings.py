@@ -5,7 +5,7 @@ import pytest
 
 from agents.dvrk_emulator.messages import JointState, OperatingState, String, header
 from agents.robot_bridge.backend import Readiness
-from agents.robot_bridge.dvrk.readings import CLOCK_SET_NS, POSE_AGE_NS, SAME_TIME_NS, Readings
+from agents.robot_bridge.dvrk.readings import CLOCK_SET_NS, POSE_AGE_NS, Readings
 from schemas.messages import StateWord
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.rigid_transforms import exp_so3, transform
@@ -97,20 +97,42 @@ def test_a_tool_that_the_console_has_turned_or_elsewhere_is_another(told, turned
     assert told.judged()[1] == code
 
 
-def test_joints_and_pose_of_two_times_are_compared_only_where_the_arm_stands_still(told):
-    end_ms = 2 * POSE_AGE_NS // MS
-    for at_ms in range(50, end_ms + 1, 50):
-        told.now_ns += 50 * MS
-        told.joints(at_ms)
-        told.pose(at_ms - 10)
+@pytest.mark.parametrize("late_ms", [-40, -10, 0, 10, 40])
+def test_a_pose_is_compared_with_the_joints_of_its_own_time_whichever_comes_first_and_however_fast_they_move(
+    told, late_ms
+):
+    def joints(at_ms):
+        return HERE + 1e-3 * at_ms * np.array((0.5, 0.3, 0.02, 2.0, 1.0, 1.0))
+
+    end_ms, beside = 2 * POSE_AGE_NS // MS, transform(np.eye(3), np.array((0.0, 0.0, 0.004)))
+    for at_ms in range(50, end_ms, 10):
+        told.now_ns += 10 * MS
+        told.joints(at_ms, joints(at_ms))
+        told.pose(at_ms - late_ms, LARGE_NEEDLE_DRIVER.forward(joints(at_ms - late_ms)))
         assert told.judged()[1] is None
-    turned = HERE + np.array((0.2, 0, 0, 0.3, 0, 0))
-    told.joints(end_ms + SAME_TIME_NS // MS + 5, turned)
-    assert told.judged()[1] is None, "a moving arm is elsewhere by now"
-    told.now_ns += POSE_AGE_NS
-    told.joints(end_ms + POSE_AGE_NS // MS, turned)
-    told.pose(end_ms + POSE_AGE_NS // MS)
+    for at_ms in range(end_ms, end_ms + 50, 10):
+        told.now_ns += 10 * MS
+        told.joints(at_ms, joints(at_ms))
+        told.pose(at_ms - late_ms, LARGE_NEEDLE_DRIVER.forward(joints(at_ms - late_ms)) @ beside)
+        told.judged()
     assert told.judged()[1] == "other_pose"
+
+
+def test_a_pose_between_two_measurements_far_apart_of_a_moving_arm_says_nothing_and_of_one_that_stands_it_does(told):
+    turned = HERE + np.array((0.2, 0, 0, 0.3, 0, 0))
+    told.joints(100)
+    told.joints(200, turned)
+    told.pose(150)
+    assert told.judged()[1] is None
+    told.joints(400, turned)
+    told.pose(300)
+    assert told.judged()[1] == "other_pose"
+
+
+def test_poses_that_come_without_joints_are_told_after_a_while(told):
+    told.now_ns += POSE_AGE_NS + MS
+    told.pose(POSE_AGE_NS // MS)
+    assert told.judged()[1] == "stale_state"
 
 
 @pytest.mark.parametrize(
