@@ -149,7 +149,8 @@ class FrameSender:
     def __init__(self, config: CameraConfig) -> None:
         self.config, self._calibration_id = config, ""
         self.sent = 0
-        self._picture, self._alike = 0, 0
+        self._pictures: tuple[int, ...] = (0, 0)
+        self._alike: tuple[int, ...] = (0, 0)
         self._came: dict[str, int] = {}
         self._heard: dict[str, deque[tuple[int, int]]] = {}
 
@@ -185,13 +186,12 @@ class FrameSender:
         return StereoFrame(stamp, left, right)
 
     def _is_frozen(self, pair: Pair) -> bool:
-        """Whether both eyes have shown the very same picture for some frames."""
-        picture = 0
-        for image in pair:
-            picture = zlib.crc32(np.ascontiguousarray(image[::EVERY_ROW]).data, picture)
-        self._alike = self._alike + 1 if picture == self._picture else 1
-        self._picture = picture
-        return self._alike >= MOST_ALIKE
+        """Whether an eye has shown the very same picture for some frames."""
+        pictures = tuple(zlib.crc32(np.ascontiguousarray(image[::EVERY_ROW]).data) for image in pair)
+        same = (picture == before for picture, before in zip(pictures, self._pictures, strict=True))
+        self._alike = tuple(count + 1 if again else 1 for count, again in zip(self._alike, same, strict=True))
+        self._pictures = pictures
+        return max(self._alike) >= MOST_ALIKE
 
     def _echoes(self, captured_ns: int) -> tuple[ChallengeEcho, ...]:
         """The newest challenge of each arm that was heard before the frame was captured."""

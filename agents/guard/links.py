@@ -143,7 +143,7 @@ class Links:
             case "alive":
                 return self._monitor.hear_alive(alive_from(key, data), at_ns)
             case "pedal":
-                return self._monitor.hear_pedal(cdr.pressed(data))
+                return self._monitor.hear_pedal(cdr.pressed(data), at_ns)
             case "hold":
                 return self._monitor.hear_hold(at_ns)
             case _:

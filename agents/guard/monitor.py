@@ -34,6 +34,8 @@ REMEMBERED_NS, BURNT = 5_000_000_000, 1000
 AGAIN_NS, HOLDS_NS, STANDS, ROUNDING = 50_000_000, 5_000_000_000, 2e-3, 1e-9
 """How often a hold is said again until no axis (rad, m) has moved by more in between, and for how long at most; by how
 much (rad, m, s) what is at a limit may come out beyond it."""
+ENABLES_NS = 5_000_000_000
+"""So long after a press somebody who had a foot on the pedal is taken to be there, to have an arm enabled."""
 LEFT, NEVER_CAME = "nobody stands by any more", "set points come and nobody stands by"
 ALLOWED_NS = {LEFT: PRESENCE_NS, NEVER_CAME: GRACE_NS}
 
@@ -66,6 +68,7 @@ class Monitor:
         self._burnt, self._present, self._unattended = deque[str](maxlen=BURNT), dict[str, int](), dict[str, int]()
         self._measured: list[tuple[tuple[float, ...], float]] = [((), -math.inf), ((), -math.inf)]
         self._pedal_up = self._pedal_counts = False
+        self._pressed_ns = -math.inf
         # of the open gate, and of the last hold
         self._last, self._credit_s, self._there = (), list[float](), ()
         self._sequence = self._passed_ns = self._held_ns = self._said_ns = self._obeys_ns = math.inf
@@ -77,7 +80,7 @@ class Monitor:
         self._issued[newest] = now_ns
         while now_ns - self._issued[oldest := next(iter(self._issued))] > REMEMBERED_NS:
             del self._issued[oldest]
-        state = self.gate, self._pedal(now_ns), self._arming, self._reason
+        state = self.gate, self._pedal(now_ns) or self._just_pressed(now_ns), self._arming, self._reason
         return Challenge(newest, self._answers, self._round_trip_ms, *state)
 
     def hear_alive(self, alive: Alive, now_ns: int) -> None:
@@ -114,8 +117,10 @@ class Monitor:
 
     hear_joints, hear_jaw = partialmethod(_hear, 0), partialmethod(_hear, 1)
 
-    def hear_pedal(self, pressed: bool) -> None:
+    def hear_pedal(self, pressed: bool, now_ns: int) -> None:
         """The console's operator-present pedal, which counts once pressed after a release that was heard."""
+        if pressed and self._pedal_up:
+            self._pressed_ns = now_ns
         self._pedal_counts = pressed and (self._pedal_up or self._pedal_counts)
         self._pedal_up = not pressed
         if not pressed and self._robot.pedal:
@@ -213,6 +218,10 @@ class Monitor:
     def _pedal(self, now_ns: int) -> bool:
         """Whether the pedal counts: pressed anew since the last motion, by a console that is heard."""
         return self._robot.pedal and self._pedal_counts and bool(self._position(now_ns))
+
+    def _just_pressed(self, now_ns: int) -> bool:
+        """Whether it was pressed anew a moment ago: an arm without power, which is to be enabled, is not measured."""
+        return self._robot.pedal and self._pedal_counts and now_ns - self._pressed_ns <= ENABLES_NS
 
     def _attended(self, arming: str, now_ns: int) -> bool:
         return now_ns - self._present.get(arming, -math.inf) <= PRESENCE_NS

@@ -1,6 +1,7 @@
 """The bridge to an arm, simulated or real, as a rig's configuration says."""
 
 import dataclasses
+import hashlib
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from shared.runtime.session import SessionSettings
 
 RESTING_HZ = ROBOT_STATE.resting_hz or 5.0
 REGISTERED = "registered"
-"""The folder of what has moved since an arm was registered."""
+"""The folder of what has moved since an arm was registered, a file for each registration."""
 LOOKED_AT_HZ = 10.0
 """Turns of an arm at rest whose instrument is looked for: a look waits for a state that is as new as its frame."""
 
@@ -63,8 +64,10 @@ def built_robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBr
     from agents.robot_bridge.dvrk.psm import DvrkPsm
 
     told = section.dvrk
-    registration = f"{base.reference.name} {config.registered_ns} {base.calibration_id} {np.ravel(base.T).tolist()}"
-    since = Since(state_folder(rig) / REGISTERED / f"{arm}.json", registration)
+    of = rig.rig, base.reference.name, config.registered_ns, base.calibration_id, np.ravel(base.T).tolist()
+    since = Since(
+        state_folder(rig).resolve() / REGISTERED / f"{arm}-{hashlib.sha256(repr(of).encode()).hexdigest()[:12]}.json"
+    )
     reached = SessionSettings(rig.rig, told.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
     backend = DvrkPsm(
         told.arm, reached, naming_of(told), told.tool, told.dry_run, base=base, has_no=told.has_no, since=since

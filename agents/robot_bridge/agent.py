@@ -29,7 +29,7 @@ from agents.robot_bridge.plans import (
     untimely,
     wrong_frame,
 )
-from agents.robot_bridge.state_changes import HOMING, StateChanges
+from agents.robot_bridge.state_changes import StateChanges
 from schemas.messages import (
     Arm,
     ChangeState,
@@ -108,6 +108,7 @@ class RobotBridge(Agent):
         self._holding = False
         self._unconfirmed = False
         self._told_to_hold = True
+        self._pauses = False
         self._turns = 0
         self._log = logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}")
         self._stands = Standing(config, backend, self._log)
@@ -189,6 +190,8 @@ class RobotBridge(Agent):
         if self._unconfirmed:
             self._hold_again()
         try:
+            self._pauses = self._pauses and self._is_busy
+            self._pause(now_ns)
             outputs, failure = self._turn(now_ns), None
         except Exception as error:
             failed = f"a turn of the bridge failed ({type(error).__name__}): see its log, then arm again"
@@ -196,6 +199,16 @@ class RobotBridge(Agent):
         yield from outputs
         if failure is not None:
             raise failure
+
+    @property
+    def _is_busy(self) -> bool:
+        arm = self._stands.measured.state
+        return arm is not None and arm.busy
+
+    def _pause(self, now_ns: int) -> None:
+        """Have the console pause, again and again until it does nothing by itself any more."""
+        if self._pauses:
+            self._backend.change_state(StateWord.PAUSE, now_ns)
 
     def _hold_again(self) -> None:
         try:
@@ -349,12 +362,12 @@ class RobotBridge(Agent):
         message = command.message
         if refusal := other_arm(self.config.arm, message.arm, command.instance):
             return [refused(message.header.id, refusal)]
-        said = message.word.name.lower() if isinstance(message, ChangeState) else "hold"
+        said, executing = message.word.name.lower() if isinstance(message, ChangeState) else "hold", self.executes
         held = self.stop(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said {said}"), command.now_ns)
         if not isinstance(message, ChangeState):
-            if self._states.awaited == HOMING:
-                # a console goes on homing by itself: what stops that is a state
-                self._backend.change_state(StateWord.PAUSE, command.now_ns)
+            # what a console does by itself, such as homing, it goes on with: what stops that is a state
+            self._pauses = not executing and (bool(self._states.awaited) or self._is_busy)
+            self._pause(command.now_ns)
             return [accepted(message.header.id, "" if self._told_to_hold else UNTOLD), *held]
         return [self._states.answer(message, command.now_ns, self.config.ratio), *held]
 
@@ -432,10 +445,11 @@ class RobotBridge(Agent):
     def _nobody(self, message: Arm | ChangeState, arm: ArmState | None, now_ns: int) -> Refusal | None:
         """Why whoever asks does not stand by as this arm needs it; None where they do, as far as that can be told."""
         if self._backend.is_real and not message.pressed and not (arm and arm.pedal):
-            alone = "a process by itself has no real arm move"
-            return Refusal(
-                Code.NO_PRESENCE, f"{alone}: press the page's button, or the console's operator-present pedal anew"
+            alone, pedal = "a process by itself has no real arm move", "the console's operator-present pedal anew"
+            remedy = (
+                f"press the page's button, or {pedal}" if isinstance(message, Arm) else f"press {pedal}, or do it there"
             )
+            return Refusal(Code.NO_PRESENCE, f"{alone}: {remedy}")
         if message.challenge_ns == 0 and not self._backend.is_real:
             return None
         behind_ns = self._challenges.behind_ns(message.challenge_ns, now_ns)

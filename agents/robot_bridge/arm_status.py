@@ -117,7 +117,8 @@ class Standing:
         if state is not None and state.untold:
             what, remedy = state.untold[0]
             return Refusal(Code.UNKNOWN, f"{what}: {remedy}")
-        contact = [one.T_camera_tool for one in plan.waypoints if one.phase in CONTACT]
+        # in a chain the tool itself hides the place by now, and it was measured before
+        contact = [one.T_camera_tool for one in plan.waypoints if one.phase in CONTACT and not plan.continues]
         surface = setup.surface
         if config.tissue_needed and (surface is None or (contact and not measured_at(surface, np.stack(contact)))):
             why = "where the tissue is was not measured at the thread, or too long ago"

@@ -90,8 +90,9 @@ class Jaw:
 
     def follows(self, measured_rad: float, sent_rad: float) -> bool:
         """Whether it is near its set point; told to close beyond its fingers' touch, it presses on what it holds."""
-        touching_rad = max(sent_rad, self.closes_rad)
-        return sent_rad - FOLLOWING_JAW_RAD <= measured_rad <= touching_rad + FOLLOWING_JAW_RAD
+        there_rad = sent_rad + self.closes_rad - self.told_rad
+        touching_rad = max(there_rad, self.closes_rad)
+        return there_rad - FOLLOWING_JAW_RAD <= measured_rad <= touching_rad + FOLLOWING_JAW_RAD
 
     def told_to_close(self, sent_rad: float) -> bool:
         """Whether a set point is that of a closed jaw."""

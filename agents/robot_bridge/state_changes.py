@@ -15,7 +15,6 @@ from shared.runtime.commands import stops
 
 LIMIT_S, HOMING_LIMIT_S = 5.0, 60.0
 """Within which a state is to be reached; a real arm homes for half a minute."""
-HOMING = "home"
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ def _heard(options: Jaw) -> list[RobotState]:
     stopped = threading.Event()
     on_stop(stopped.set)
     with connected(rig_of(options.config, options.host).session, None, stopped) as connection:
-        say("open the jaw wide and close it until it presses, slowly, by the console; Ctrl-C ends this early")
+        say("open the jaw wide, wait a moment, and close it until it presses, slowly, by the console; Ctrl-C ends this")
         return listened(connection, options, stopped)
 
 

@@ -14,8 +14,10 @@ registration still. What was told once and does not come any more speaks against
 Topics: jhu-dvrk/sawIntuitiveResearchKit, API 2.x; a button's message is sensor_msgs/Joy, 1 where it is pressed.
 """
 
+import itertools
 import json
 import threading
+from collections import deque
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +37,8 @@ SAME_TIME_NS = 2_000_000
 SETTLED_NS = 500_000_000
 """So long after it moved last, a frame stands still."""
 ECM_AGE_NS = 1_000_000_000
+RECENT = 4
+"""So many poses of a kind are kept: those of two topics come one after the other, and a turn may fall between."""
 ECM = "ECM"
 CLUTCHES = ("footpedals/clutch", "console/clutch")
 PEDALS = ("footpedals/camera", "footpedals/clutch", "console/camera", "console/clutch")
@@ -44,6 +48,10 @@ MEASURED, LOCAL, TIP = "measured_cp", "local/measured_cp", "tip"
 class _Raw(NamedTuple):
     data: bytes
     arrived_ns: int
+
+    def is_fresh(self, now_ns: int) -> bool:
+        """Whether it came lately; where the clock was set back, what came before it did not."""
+        return abs(now_ns - self.arrived_ns) < ECM_AGE_NS
 
 
 class Apart(NamedTuple):
@@ -76,18 +84,17 @@ class Since:
         unknown: why that is not known; empty where it is.
     """
 
-    def __init__(self, file: Path | None = None, registration: str = "") -> None:
-        """As the file has it of this registration; another one begins anew."""
-        self._file, self._registration = file, registration
+    def __init__(self, file: Path | None = None) -> None:
+        """As the file of a registration has it."""
+        self._file = file
         self.first: dict[str, Float64[np.ndarray, "4 4"]] = {}
         self.let_go, self.unknown = "", ""
         if file is None or not file.exists():
             return
         try:
             kept: dict[str, Any] = json.loads(file.read_text())
-            if kept["registration"] == registration:
-                self.first = {kind: np.array(T, dtype=float).reshape(4, 4) for kind, T in kept["first"].items()}
-                self.let_go = str(kept["let_go"])
+            self.first = {kind: np.array(T, dtype=float).reshape(4, 4) for kind, T in kept["first"].items()}
+            self.let_go = str(kept["let_go"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             self.unknown = f"{file} cannot be read: register anew, remove it, and start the bridge again"
 
@@ -108,7 +115,7 @@ class Since:
         if self._file is None or self.unknown:
             return
         first = {kind: T.tolist() for kind, T in self.first.items()}
-        text = json.dumps({"registration": self._registration, "first": first, "let_go": self.let_go})
+        text = json.dumps({"first": first, "let_go": self.let_go})
         beside = self._file.with_suffix(".new")
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
@@ -132,7 +139,7 @@ class FramesWatch:
         self._arm, self._base = arm, base if base is not None and base.reference is Reference.ECM_BASE else None
         self.still_since_ns, self.T_camera_base = 0, None
         self._lock = threading.Lock()
-        self._raw: dict[str, _Raw] = {}
+        self._raw: dict[str, deque[_Raw]] = {}
         self._pressed: set[str] = set()
         self._touched: str = ""
         self._heard_of = set[str]()
@@ -140,7 +147,7 @@ class FramesWatch:
         self._last: dict[str, Float64[np.ndarray, "4 4"]] = {}
         self._what = ""
         self._paired_ns: int | None = None
-        self._read: dict[str, tuple[_Raw, crtk.Pose | None]] = {}
+        self._read: dict[str, deque[tuple[_Raw, crtk.Pose | None]]] = {}
 
     def heard(self) -> tuple[Heard, ...]:
         """The topics to hear; that there are none of them says nothing."""
@@ -173,9 +180,9 @@ class FramesWatch:
         return found
 
     def hear_pose(self, kind: str, data: bytes, arrived_ns: int) -> None:
-        """Keep the newest pose of a kind, unread."""
+        """Keep the newest poses of a kind, unread."""
         with self._lock:
-            self._raw[kind] = _Raw(data, arrived_ns)
+            self._raw.setdefault(kind, deque(maxlen=RECENT)).append(_Raw(data, arrived_ns))
 
     def hear_button(self, topic: str, data: bytes) -> None:
         """Note a button that is pressed or let go, even where it was so for a moment only."""
@@ -187,13 +194,15 @@ class FramesWatch:
             (self._pressed.add if pressed else self._pressed.discard)(topic)
             self._touched = topic
             self._heard_of.add(topic)
-            if topic.endswith("suj_clutch"):
+            if pressed and topic.endswith("suj_clutch"):
+                # a release alone is what a console says as it starts; a base that moved shows in its pose
                 self._let_go = topic
 
     def judge(self, now_ns: int) -> str:
         """Why nothing must move now; empty where all stands where it stood."""
         with self._lock:
-            raw, pressed, touched, let_go = dict(self._raw), sorted(self._pressed), self._touched, self._let_go
+            raw = {kind: tuple(newest) for kind, newest in self._raw.items()}
+            pressed, touched, let_go = sorted(self._pressed), self._touched, self._let_go
             self._touched = ""
         if pressed or touched:
             self._moved(now_ns, f"{(pressed or [touched])[0]} was pressed")
@@ -210,10 +219,10 @@ class FramesWatch:
             return stands
         return f"{self._what}: wait, then plan again" if now_ns - self.still_since_ns < SETTLED_NS else ""
 
-    def _tip(self, raw: dict[str, _Raw], now_ns: int) -> str:
+    def _tip(self, raw: dict[str, tuple[_Raw, ...]], now_ns: int) -> str:
         """What the endoscope's own arm says."""
-        tip = self._pose(TIP, raw)
-        fresh = tip is not None and self._fresh(TIP, raw, now_ns)
+        newest, tip = self._poses(TIP, raw)[-1] if TIP in raw else (None, None)
+        fresh = newest is not None and tip is not None and newest.is_fresh(now_ns)
         if self._base is not None and not fresh:
             return "its base is told from the ECM, whose local/measured_cp does not come"
         if TIP not in raw:
@@ -226,34 +235,42 @@ class FramesWatch:
             return ""
         return _elsewhere("the camera (ECM)", from_first)
 
-    def _reference(self, raw: dict[str, _Raw], now_ns: int) -> str:
+    def _reference(self, raw: dict[str, tuple[_Raw, ...]], now_ns: int) -> str:
         """What the arm's pose in two frames says; it holds an ECM's motion too, where the ECM itself is not told."""
         if self._base is not None or MEASURED not in raw:
             # it changes with the ECM, which is followed
             return ""
-        measured, local = self._pose(MEASURED, raw), self._pose(LOCAL, raw)
-        new = self._fresh(MEASURED, raw, now_ns) and self._fresh(LOCAL, raw, now_ns)
-        paired = measured is not None and local is not None and abs(measured.stamp_ns - local.stamp_ns) <= SAME_TIME_NS
-        self._paired_ns = now_ns if self._paired_ns is None or (new and paired) else min(self._paired_ns, now_ns)
+        paired = self._paired(raw, now_ns)
+        if paired is not None:
+            self._paired_ns = paired[2]
+        self._paired_ns = now_ns if self._paired_ns is None else min(self._paired_ns, now_ns)
         if now_ns - self._paired_ns > ECM_AGE_NS:
             return "whether the base stands still (measured_cp with local/measured_cp) is told no more: see its console"
-        if measured is None or local is None or not paired:
+        if paired is None:
             return ""
+        measured, local, _ = paired
         T_reference_base = measured.T @ inverse(local.T)
         from_first = self._compared(MEASURED, T_reference_base, now_ns, "set-up joints or the camera moved")
         return _elsewhere("the base, by its set-up joints or the camera's,", from_first)
 
-    def _fresh(self, kind: str, raw: dict[str, _Raw], now_ns: int) -> bool:
-        return kind in raw and now_ns - raw[kind].arrived_ns < ECM_AGE_NS
+    def _paired(self, raw: dict[str, tuple[_Raw, ...]], now_ns: int) -> tuple[crtk.Pose, crtk.Pose, int] | None:
+        """The newest poses in both frames that are of one time, and when they came: one after the other."""
+        newest, other = (
+            [(one, pose) for one, pose in self._poses(kind, raw) if pose is not None and one.is_fresh(now_ns)][::-1]
+            for kind in (MEASURED, LOCAL)
+        )
+        for (one, measured), (two, local) in itertools.product(newest, other):
+            if abs(measured.stamp_ns - local.stamp_ns) <= SAME_TIME_NS:
+                return measured, local, min(one.arrived_ns, two.arrived_ns)
+        return None
 
-    def _pose(self, kind: str, raw: dict[str, _Raw]) -> crtk.Pose | None:
-        """The newest pose of a kind; None where there is none, or it cannot be read, which others report."""
-        newest = raw.get(kind)
-        if newest is None:
-            return None
-        if kind not in self._read or self._read[kind][0] is not newest:
-            self._read[kind] = newest, _read(newest)
-        return self._read[kind][1]
+    def _poses(self, kind: str, raw: dict[str, tuple[_Raw, ...]]) -> deque[tuple[_Raw, crtk.Pose | None]]:
+        """The newest poses of a kind, the newest last; None for one that cannot be read, which others report."""
+        known = self._read.setdefault(kind, deque(maxlen=RECENT))
+        for one in raw.get(kind, ()):
+            if not any(one is each for each, _ in known):
+                known.append((one, _read(one)))
+        return known
 
     def _compared(self, kind: str, T: Float64[np.ndarray, "4 4"], now_ns: int, what: str) -> Apart:
         """Note a motion; how far it is from where it was first."""

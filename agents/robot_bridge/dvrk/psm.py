@@ -146,6 +146,8 @@ class DvrkPsm:
         if self._replayed:
             return ArmState(0, NOTHING.joints, NOTHING.jaw_rad, Readiness.DISABLED, "it is real, and the time is not")
         self._link.open()
+        # where the clock was set back, no hold is of the time to come
+        self._console_held_ns = min(self._console_held_ns, now_ns)
         if not self.dry_run:
             self._guard.turn()
         measured = self._readings.measured()

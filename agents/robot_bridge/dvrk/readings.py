@@ -343,7 +343,8 @@ class Readings:
 
     def _joints_at(self, stamp_ns: int) -> Float64[np.ndarray, "6"] | None:
         """The joints at a time of the robot's clock: None where they are not known yet, UNKNOWN if they never will."""
-        after = next((i for i, (at_ns, _) in enumerate(self._joints) if at_ns >= stamp_ns), len(self._joints))
+        before = next((i for i in reversed(range(len(self._joints))) if self._joints[i][0] <= stamp_ns), -1)
+        after = before + 1
         if after == len(self._joints):
             *_, (one_ns, one), (other_ns, other) = ((0, NOTHING.joints), (0, NOTHING.joints), *self._joints)
             stood = other_ns - one_ns > 0 and bool((np.abs(other - one) < STANDS).all())

@@ -25,7 +25,9 @@ parameters · log n; where the jaw is free over the wider part of the closing; a
 effort, grows by more below the bend than it varies above. Where the bend lies is told by the line alone: velocity and
 acceleration of a person's closing go along with the bend so far that they would leave its place to noise.
 
-The lag is one for all closings. It hardly matters: at constant speed it moves h and b by the same, and their sum not.
+The lag is one for all closings. Where a jaw closes as measured it hardly matters: at constant speed it moves h and b by
+the same, and their sum not. Where it is told to be then, h, hangs on it. What tells it is a jaw that opens and comes to
+rest: there the speed changes, in one direction, so that backlash and offset stay.
 
 A jaw does not close at quite the same angle each time (cables, backlash). So the closings are pooled as draws of it:
 s² is the variance between them beyond their own v (DerSimonian and Laird, Control. Clin. Trials 7, 1986),
@@ -240,8 +242,16 @@ def _independent(free: _Free, y: Float64[np.ndarray, "n"], h: float) -> float:
 def _lag_s(motion: JawMotion, closings: list[slice]) -> float:
     """The lag with which the measured angles of all closings are most likely."""
 
+    opened = _openings(motion, closings)
+    if not opened:
+        unknown = "too little motion to tell at which set point it closes"
+        raise CalibrationError(f"{unknown}: open the jaw, and let it stand open for a moment before it is closed")
+
     def unlikely(lag_s: float) -> float:
         total = 0.0
+        for each in opened:
+            free, (y, *_) = _free(motion, each, lag_s), _signals(motion, each, lag_s)
+            total += len(y) * float(np.log(np.sum(free.off(y[None]) ** 2) + NOTHING**2))
         for each in closings:
             free, (y, *_) = _free(motion, each, lag_s), _signals(motion, each, lag_s)
             h = np.linspace(free.x.min(), free.x.max(), BENDS // 4)[1:-1]
@@ -249,6 +259,26 @@ def _lag_s(motion: JawMotion, closings: list[slice]) -> float:
         return total
 
     return min((float(lag_s) for lag_s in LAGS_S), key=unlikely)
+
+
+def _openings(motion: JawMotion, closings: list[slice]) -> list[slice]:
+    """From where the jaw is measured to be half open until it is told to close again: its fingers touch nothing.
+
+    Those alone after which it stood for as long as its lag may be.
+    """
+    found = list[slice]()
+    for first, last in zip(
+        (each.stop for each in closings), [*(each.start for each in closings[1:]), None], strict=True
+    ):
+        told = motion.told_rad[first:last]
+        if len(told) < FEWEST_SAMPLES or np.ptp(told) < CLOSES_RAD:
+            continue
+        open_from = np.flatnonzero(motion.measured_rad[first:last] >= 0.5 * (told.min() + told.max()))
+        top = np.flatnonzero(told >= told.max() - NOTHING)
+        stands_s = motion.time_s[first + top[-1]] - motion.time_s[first + top[0]]
+        if len(open_from) and top[-1] - open_from[0] >= FEWEST_SAMPLES // 2 and stands_s >= LAGS_S[-1]:
+            found.append(slice(first + int(open_from[0]), first + int(top[-1]) + 1))
+    return found
 
 
 def _pooled(found: tuple[Contact, ...], closings: int, lag_s: float) -> Estimate:

@@ -31,7 +31,8 @@ class Given:
         one = self.given.pop(0) if self.given else None
         if isinstance(one, Exception):
             raise one
-        return None if one is None else (NOISE + np.uint8(one), NOISE + np.uint8(one + 1))
+        left, right = one if isinstance(one, tuple) else (one, None if one is None else one + 1)
+        return None if one is None else (NOISE + np.uint8(left), NOISE + np.uint8(right))
 
     def close(self):
         self.closed = True
@@ -92,8 +93,10 @@ def challenge(arm, challenge_ns):
     return Received(ROBOT_STATE, f"suturegrasp/lab/robot_bridge/{arm}/state", 0, state)
 
 
-def test_a_picture_that_comes_again_and_again_echoes_no_challenge_until_another_one_does():
-    camera, echoed = camera_of(*[7] * (MOST_ALIKE + 1), 8, config=CameraConfig()), list[bool]()
+@pytest.mark.parametrize("frozen", [(True, True), (True, False), (False, True)])
+def test_a_picture_that_comes_again_and_again_to_an_eye_echoes_no_challenge_until_another_one_does(frozen):
+    eyes = [[7] * (MOST_ALIKE + 1) if still else range(20, 21 + MOST_ALIKE) for still in frozen]
+    camera, echoed = camera_of(*zip(*eyes, strict=True), (8, 9), config=CameraConfig()), list[bool]()
     for number in range(1, MOST_ALIKE + 3):
         list(camera.step(challenge("psm1", number)))
         echoed.append(bool(stepped(camera, number * 10**9)[FRAMES].stamp.echoes))

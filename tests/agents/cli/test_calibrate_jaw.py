@@ -32,8 +32,10 @@ DVRK = "backend = 'dvrk'\nT_camera_base = {T}\ndvrk = {{endpoint = 'tcp/127.0.0.
 
 
 def states(closings: int = 4, arm: str = "psm1", instrument: str = TOOL, zero_rad: float = 0.0, **changes: Any):
-    """Of an arm whose jaw is opened and closed in a second each, and stops at CLOSES_RAD."""
-    told = np.tile(np.concatenate((np.linspace(0.0, 0.8, 100), np.linspace(0.8, -0.1, 100))), closings)
+    """Of an arm whose jaw is opened and closed in a second each, stands open in between, and stops at CLOSES_RAD."""
+    told = np.tile(
+        np.concatenate((np.linspace(0.0, 0.8, 100), np.full(40, 0.8), np.linspace(0.8, -0.1, 100))), closings
+    )
     told = np.append(told, np.full(120, -0.1))
     measured = np.maximum(told, CLOSES_RAD) + np.random.default_rng(1).normal(0, 5e-4, len(told))
     for i, (set_point, jaw) in enumerate(zip(told, measured, strict=True)):

@@ -15,6 +15,7 @@ TICK = 5 * MS
 # the bounds of docs/safety.md, in numbers of their own
 PRESENCE_NS, LINK_NS, FRESH_NS, GONE_NS, GRACE_NS = 220 * MS, 100 * MS, 100 * MS, 100 * MS, 100 * MS
 BURST_S, SETTLES_NS, AGAIN_NS, HOLDS_NS, OBEYS_NS = 0.06, 320 * MS, 50 * MS, 5000 * MS, 100 * MS
+ENABLES_NS = 5000 * MS
 AXES = (Axis(-1.5, 1.5, 1.0), Axis(0.0, 0.24, 0.2), Axis(-0.7, 1.4, 3.0))
 ROBOT = Description("psm1", AXES, 200.0)
 PEDAL = ROBOT._replace(pedal=True)
@@ -84,7 +85,7 @@ class Rig:
     def pedal(self, *pressed):
         """Whether it counts after what the console says of it."""
         for each in pressed:
-            self.monitor.hear_pedal(each)
+            self.monitor.hear_pedal(each, self.now_ns)
         return self.told().pedal
 
     def turn(self):
@@ -475,6 +476,17 @@ def test_a_pedal_has_to_be_pressed_anew_for_each_motion(ends):
     assert rig.moves(10, "c", pressed=False).gate is Gate.OPEN
 
 
+def test_a_press_of_a_moment_ago_is_told_of_an_arm_that_is_not_measured_and_lets_nothing_pass():
+    rig = Rig(PEDAL)
+    rig.wait(2 * FRESH_NS, measured=())
+    assert rig.pedal(False, True)
+    rig.wait(ENABLES_NS, measured=())
+    assert rig.told().pedal
+    assert not passed(rig.say())
+    rig.wait(1, measured=())
+    assert not rig.told().pedal
+
+
 def test_a_foot_that_was_down_when_the_guard_began_does_not_count():
     rig = Rig(PEDAL)
     assert not rig.pedal(True, True)
@@ -492,8 +504,8 @@ def test_what_the_pedal_said_before_its_console_was_not_heard_does_not_count(hea
         rig.wait(away_ns - away_ns // 2)
         assert rig.pedal(True) == (away_ns == FRESH_NS), "a release may have been lost meanwhile"
     assert rig.pedal(False, True)
-    rig.now_ns += FRESH_NS + 1
-    assert not rig.told().pedal, "a console that is not heard says nothing"
+    rig.now_ns += ENABLES_NS + 1
+    assert not rig.told().pedal, "a console that is not heard says nothing for long"
 
 
 def test_a_description_is_what_its_document_says_and_one_that_no_arm_has_is_refused():

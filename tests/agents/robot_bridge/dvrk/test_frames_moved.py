@@ -71,8 +71,8 @@ def test_poses_of_two_times_are_not_compared_and_a_button_counts_where_it_was_pr
     watch = FramesWatch("PSM1", None)
     stands(watch, AT)
     assert watch.judge(AT) == ""
-    stands(watch, AT, exp_se3(np.full(6, 0.1)), (MEASURED, LOCAL), apart_ns=5_000_000)
-    assert watch.judge(AT) == ""
+    stands(watch, AT + 10**7, exp_se3(np.full(6, 0.1)), (MEASURED, LOCAL), apart_ns=5_000_000)
+    assert watch.judge(AT + 10**7) == ""
     touched(watch, "manip_clutch")
     assert "PSM1/io/manip_clutch was pressed" in watch.judge(AT)
     assert watch.judge(AT + SETTLED_NS) == ""
@@ -105,7 +105,7 @@ def test_what_was_told_of_camera_or_base_and_comes_no_more_speaks_against_moving
 
 def test_a_bridge_that_begins_anew_still_holds_what_moved_against_the_same_registration(tmp_path):
     def begun(registration="one"):
-        return FramesWatch("PSM1", None, Since(tmp_path / "kept" / "psm1.json", registration))
+        return FramesWatch("PSM1", None, Since(tmp_path / "kept" / f"{registration}.json"))
 
     watch = begun()
     stands(watch, AT)
@@ -123,15 +123,37 @@ def test_a_bridge_that_begins_anew_still_holds_what_moved_against_the_same_regis
         assert "register the base anew" in watch.judge(AT + 20 * SETTLED_NS)
         watch = begun("two")
     assert "register the base anew" not in begun("three").judge(AT)
-    (tmp_path / "kept" / "psm1.json").write_text("{")
+    watch = begun()
+    stands(watch, AT, moved)
+    assert "is 5.0 mm" in watch.judge(AT), "another registration in between changes nothing"
+    (tmp_path / "kept" / "two.json").write_text("{")
     assert "cannot be read" in begun("two").judge(AT)
 
 
 def test_where_what_moved_cannot_be_kept_nothing_moves(tmp_path):
     (tmp_path / "kept").write_text("a file where a folder should be")
-    watch = FramesWatch("PSM1", None, Since(tmp_path / "kept" / "psm1.json", "one"))
+    watch = FramesWatch("PSM1", None, Since(tmp_path / "kept" / "one.json"))
     stands(watch, AT)
     assert "cannot be written" in watch.judge(AT)
+
+
+def test_both_poses_of_one_time_are_compared_though_a_turn_falls_between_them():
+    watch, now_ns = FramesWatch("PSM1", None), AT
+    for turn in range(2 * ECM_AGE_NS // 10**7):
+        now_ns = AT + turn * 10**7
+        stands(watch, now_ns, kinds=(TIP, MEASURED))
+        watch.hear_pose(LOCAL, crtk.pose_command(np.eye(4), now_ns - 10**7), now_ns)
+        assert watch.judge(now_ns) == ""
+    stands(watch, now_ns + 10**7, T_CAMERA_BASE @ exp_se3(np.array((0.005, 0, 0, 0, 0, 0))), (MEASURED,))
+    stands(watch, now_ns + 10**7, kinds=(LOCAL,))
+    assert "set-up joints or the camera's, is 5.0 mm" in watch.judge(now_ns + 10**7)
+
+
+def test_a_button_that_is_told_to_be_up_as_a_console_starts_let_go_of_nothing():
+    watch = FramesWatch("PSM1", None)
+    watch.hear_button("PSM1/io/suj_clutch", Joy(header(0), [], [0]).serialize())
+    assert "was pressed" in watch.judge(AT)
+    assert watch.judge(AT + SETTLED_NS) == ""
 
 
 def test_a_clock_that_is_set_back_makes_no_frame_of_afterwards_one_of_before():

@@ -40,7 +40,7 @@ def closed_by_hand(room: Room, times: int) -> list[RobotState]:
     told = list[RobotState]()
     for word in ("open_jaw", "close_jaw") * times:
         room.console.request(word)
-        for _ in range(round(1.2 * HZ / 2)):
+        for _ in range(round(2.0 * HZ / 2)):
             room.tick(elapsed_ns=2 * TICK_NS)
             if room.state is not None and (not told or room.state is not told[-1]):
                 told.append(decode(RobotState, encode(room.state)))
@@ -58,7 +58,7 @@ def found_by(room: Room, path: Path) -> JawZero:
 def test_from_closings_by_the_console_to_a_grasp_that_closes(tmp_path: Path) -> None:
     lag_s = 0.04
     zero = found_by(Instrumented(lag_s=lag_s, jaw_stop_rad=CLOSES_RAD), tmp_path / "jaw.json")
-    assert zero.closes_rad == pytest.approx(CLOSES_RAD, abs=2e-3)
+    assert (zero.closes_rad, zero.told_rad) == pytest.approx((CLOSES_RAD, CLOSES_RAD), abs=5e-3)
     assert (zero.arm, zero.instrument, zero.closings) == ("psm1", TOOL, 3)
     room = Instrumented(lag_s=lag_s, jaw_stop_rad=CLOSES_RAD, jaw_zero=zero)
     room.starts_moving()

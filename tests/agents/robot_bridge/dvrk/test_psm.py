@@ -250,6 +250,13 @@ def test_whoever_says_hold_has_a_console_that_homes_pause(room):
     assert room.command(HOLD, Hold(room.header(), "psm1")).code == ""
     room.tick(200)
     assert (room.console._arm.state, room.console._arm.is_homed) == ("PAUSED", False)
+    # a console that goes on homing when it is resumed, or was told to home there, pauses too
+    room.console._arm.command("resume")
+    room.console._arm.command("home")
+    room.until(lambda: room.backend._readings.busy)
+    assert room.command(HOLD, Hold(room.header(), "psm1")).code == ""
+    room.tick(200)
+    assert (room.console._arm.state, room.console._arm.is_homed) == ("PAUSED", False)
 
 
 def test_a_hold_at_the_console_after_the_last_challenge_that_whoever_arms_had_heard_keeps_the_arm_where_it_is(room):
