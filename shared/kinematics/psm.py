@@ -173,15 +173,6 @@ def joint_problem(
     return np.where(finite, np.where(shallow, Problem.REMOTE_CENTRE, limit), Problem.NOT_FINITE)
 
 
-def within_limits(joints: Float64[np.ndarray, "*batch 6"], psm: Psm = LARGE_NEEDLE_DRIVER) -> str | None:
-    """Why the first faulty set of joints is not for this arm, in a sentence; None where all are."""
-    problems = np.atleast_1d(joint_problem(joints, psm))
-    if not problems.any():
-        return None
-    first = int(np.argmax(problems.ravel() != Problem.NONE))
-    return describe(Problem(problems.ravel()[first]), joints.reshape(-1, 6)[first], psm)
-
-
 def describe(problem: Problem, joints: Float64[np.ndarray, "6"], psm: Psm = LARGE_NEEDLE_DRIVER) -> str:
     """A problem of these joints in a sentence."""
     if problem >= Problem.YAW:

@@ -39,21 +39,14 @@ class Completeness:
     damage: str = ""
     stopped: str = ""
 
-    @property
-    def doubts(self) -> list[str]:
-        """What whoever uses the recording must know: what it lacks, and that some of it was made later."""
-        return self.doubts_of("")
-
     def doubts_of(self, damage: str) -> list[str]:
-        """The same of a file whose reading broke off; that takes the place of what it says of itself."""
+        """What whoever uses the recording must know: what it lacks, and that some of it was made later.
+
+        Of a file whose reading broke off, that `damage` takes the place of what it says of itself.
+        """
         nothing = self.complete or (self.finished and self.complete is None and not self._of_source)
         lacks = damage or ("" if nothing else self.sentence)
         return [*filter(None, (lacks,)), *(one.sentence for one in self.derived if one.agents)]
-
-    @property
-    def left_out_frames(self) -> int:
-        """Of the camera, because nothing was made of them."""
-        return sum(one.left_out.get(UNUSED_FRAMES, 0) for one in self.derived)
 
     @property
     def lacks_frames_on_purpose(self) -> bool:

@@ -12,10 +12,10 @@ from shared.kinematics.psm import (
     LARGE_NEEDLE_DRIVER,
     Problem,
     Psm,
+    describe,
     forward,
     inverse,
     joint_problem,
-    within_limits,
 )
 from shared.rigid_transforms import transform
 
@@ -92,9 +92,9 @@ def test_a_pose_has_joints_that_reach_it_or_a_problem(quaternion, place):
     solution = inverse(T)
     if solution.problem == Problem.NONE:
         np.testing.assert_allclose(forward(solution.joints), T, atol=1e-11)
-        assert within_limits(solution.joints) is None
+        assert joint_problem(solution.joints) == Problem.NONE
     elif np.isfinite(solution.joints).all() and solution.problem >= Problem.YAW:
-        assert within_limits(solution.joints) is not None
+        assert joint_problem(solution.joints) != Problem.NONE
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=16, max_size=16))
@@ -122,12 +122,10 @@ def test_a_shaft_that_ends_less_than_45_mm_beyond_the_remote_centre_or_is_no_num
     joints = np.stack((STRAIGHT, STRAIGHT))
     joints[:, 2] = np.array((0.0449, 0.0451)) + 0.0156
     np.testing.assert_array_equal(inverse(forward(joints)).problem, (Problem.REMOTE_CENTRE, Problem.NONE))
-    sentence = within_limits(joints)
-    assert sentence is not None
-    assert "44.9 mm beyond the remote centre" in sentence
+    assert "44.9 mm beyond the remote centre" in describe(Problem(int(joint_problem(joints[0]))), joints[0])
     joints[1, 4] = np.nan
     assert joint_problem(joints[1]) == Problem.NOT_FINITE
-    assert within_limits(joints[1]) == "a number of it is not finite"
+    assert describe(Problem.NOT_FINITE, joints[1]) == "a number of it is not finite"
 
 
 @pytest.mark.parametrize("joint", range(6))
