@@ -14,7 +14,7 @@ from agents.robot_bridge.limits import MotionLimits
 from agents.robot_bridge.simulated import SIMULATED_START, SimulatedPsm, waiting
 from schemas.messages import ExecutionKind, Phase, Waypoint
 from shared.kinematics.dh_file import read_dh
-from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward, within_limits
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, Problem, forward, joint_problem
 from shared.kinematics.simulated_setup import SIMULATED_BASES, SIMULATED_T_CAMERA_BASE
 from shared.rigid_transforms import exp_so3, inverse, transform
 from shared.runtime.config import ConfigError
@@ -25,7 +25,7 @@ FILE = Path(__file__).parents[3] / "deploy" / "generic_arm.toml"
 
 
 def test_each_arm_waits_on_its_own_side_beside_the_field_of_view_and_before_the_camera() -> None:
-    assert within_limits(START) is None
+    assert joint_problem(START) == Problem.NONE
     right, up, away = (SIMULATED_T_CAMERA_BASE @ forward(START))[:3, 3]
     assert 0.02 < away < 0.07
     assert right / away > 0.48
