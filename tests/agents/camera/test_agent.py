@@ -31,8 +31,10 @@ class Given:
         one = self.given.pop(0) if self.given else None
         if isinstance(one, Exception):
             raise one
-        left, right = one if isinstance(one, tuple) else (one, None if one is None else one + 1)
-        return None if one is None else (NOISE + np.uint8(left), NOISE + np.uint8(right))
+        if one is None:
+            return None
+        left, right = one if isinstance(one, tuple) else (one, one + 1)
+        return NOISE + np.uint8(left), NOISE + np.uint8(right)
 
     def close(self):
         self.closed = True

@@ -14,6 +14,7 @@ from schemas.codec import decode, encode
 from schemas.messages import Consumed, RobotState
 from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, THREAD, key
 from shared.recording.completeness import completeness
+from shared.recording.derivation import UNUSED_FRAMES
 from shared.recording.entry import Entry
 from shared.recording.losses import COMPLETE, LOSSES, LOST
 from shared.recording.mcap_file import read_attachments, read_notes, read_recording
@@ -71,7 +72,7 @@ def test_frames_of_which_nothing_was_made_are_left_out_and_the_file_says_so_wher
     assert [e.sequence for e in entries if e.key == FRAMES_KEY] == [6, 9]
     assert report.unused == 4
     told = completeness(target)
-    assert (told.complete, told.left_out_frames) == (True, 4)
+    assert (told.complete, [one.left_out[UNUSED_FRAMES] for one in told.derived]) == (True, [4])
     assert told.sentence == "complete but for what was left out on purpose"
     whole = target.read_bytes()
     for share in (0.5, 0.9, 1.0):
@@ -132,7 +133,7 @@ def test_what_this_version_does_not_know_is_left_out_and_counted(session, tmp_pa
 def test_whoever_uses_what_was_made_of_a_file_that_was_cut_off_is_told(session, tmp_path):
     session.write_bytes(session.read_bytes()[:-400])
     _, _, target = cut_short(session, tmp_path)
-    (doubt,) = completeness(target).doubts
+    (doubt,) = completeness(target).doubts_of("")
     assert doubt.startswith("its source: cut off at ")
 
 
