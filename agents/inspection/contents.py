@@ -1,5 +1,6 @@
 """What a recording holds by key: how much, how often, and where something is missing."""
 
+import itertools
 from array import array
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -103,7 +104,9 @@ class ContentsCollector:
 def _contents(key: str, one: _Key) -> KeyContents:
     topic, is_regular, resting_s = _topic(key)
     runs = [(np.array(run.published_ns, np.int64), np.array(run.sequence, np.int64)) for run in one.runs.values()]
-    gaps = sorted((gap for run in runs for gap in gaps_of(*run, is_regular, resting_s)), key=lambda gap: gap.from_ns)
+    within = [gap for run in runs for gap in gaps_of(*run, is_regular, resting_s)]
+    between = _between([published for published, _ in runs], resting_s) if is_regular else []
+    gaps = sorted((*within, *between), key=lambda gap: gap.from_ns)
     lasted_s = sum(float(np.ptp(published)) for published, _ in runs) * 1e-9
     intervals = sum(len(published) - 1 for published, _ in runs)
     return KeyContents(
@@ -147,6 +150,21 @@ def _topic(key: str) -> tuple[str, bool, float]:
     return str(topic), is_regular, 1.0 / topic.resting_hz if topic.resting_hz else 0.0
 
 
+def _between(runs: list[Int64[np.ndarray, "n"]], resting_s: float) -> list[Gap]:
+    """Where nothing came regularly between the end of one run of a publisher and the beginning of the next."""
+    ordered = sorted((run for run in runs if len(run)), key=lambda run: int(run.min()))
+    pauses = [(int(one.max()), int(other.min())) for one, other in itertools.pairwise(ordered)]
+    intervals = np.concatenate([np.diff(np.sort(run)) for run in ordered]) if ordered else np.zeros(0)
+    longest_ns = _longest_ns(intervals, resting_s)
+    return [Gap(begins, ends, 0) for begins, ends in pauses if ends - begins > longest_ns]
+
+
+def _longest_ns(interval_ns: np.ndarray, resting_s: float) -> float:
+    """How long something regular may be silent."""
+    usual_ns = float(np.median(interval_ns)) if len(interval_ns) else 0.0
+    return max(SILENT_PERIODS * usual_ns, 1e9 * max(SILENT_S, RESTING_PERIODS * resting_s))
+
+
 def gaps_of(
     published_ns: Int64[np.ndarray, "n"], sequence: Int64[np.ndarray, "n"], is_regular: bool, resting_s: float = 0.0
 ) -> list[Gap]:
@@ -160,7 +178,6 @@ def gaps_of(
         return []
     times_ns = published_ns[places]
     lost, interval_ns = np.diff(numbers) - 1, np.diff(times_ns)
-    longest_ns = max(SILENT_PERIODS * float(np.median(interval_ns)), 1e9 * max(SILENT_S, RESTING_PERIODS * resting_s))
-    is_silent = interval_ns > longest_ns
+    is_silent = interval_ns > _longest_ns(interval_ns, resting_s)
     found = np.flatnonzero((lost > 0) | (is_silent & is_regular))
     return [Gap(int(times_ns[i]), int(times_ns[i + 1]), int(lost[i])) for i in found]

@@ -66,7 +66,7 @@ class Grasp:
         no_plan = f"no plan: {self.plan.reason}" if self.plan is not None and self.plan.reason else ""
         if self.armings:
             # of a planner that ran anew the plan may be none, though one was carried out
-            return "; ".join(filter(None, (no_plan, _arming_ended(self.armings[-1]))))
+            return "; ".join(filter(None, (no_plan, _arming_ended(self.deciding))))
         return no_plan or ("planned, never armed" if self.plan else "no plan followed")
 
     @property
@@ -76,12 +76,18 @@ class Grasp:
             return "goal refused"
         if not self.armings:
             return "no plan" if self.plan is not None and self.plan.reason else "not armed"
-        last = self.armings[-1]
+        last = self.deciding
         if last.judgement is not None:
             return last.judgement.verdict.name.lower()
         if last.answer.outcome is Outcome.REFUSED:
             return "arming refused"
         return f"execution {last.events[-1].kind.name.lower()}" if last.events else "never moved"
+
+    @property
+    def deciding(self) -> Arming:
+        """The last arming that was not refused; where all were, the last."""
+        taken = [one for one in self.armings if one.answer.outcome is not Outcome.REFUSED]
+        return (taken or self.armings)[-1]
 
 
 def _arming_ended(arming: Arming) -> str:
@@ -143,7 +149,7 @@ class GraspCollector:
                 grasp = self._grasp_of_plan(message.plan_id, message.at_ns)
                 if not grasp.armings:
                     grasp.armings.append(Arming("", None, UNKNOWN))
-                grasp.armings[-1].judgement = message
+                grasp.deciding.judgement = message
             case _:
                 raise MessageError(f"{type(message).__name__} is no part of a grasp")
 

@@ -65,7 +65,8 @@ def differences(then: Any, now: Any, rules: Rules) -> Iterator[Difference]:
     names = {f.name for f in dataclasses.fields(then)}
     for name, rule in rules.items():
         if rule.measure is not None and name.partition(".")[0] not in names:
-            yield Difference(name, rule.measure(then, now))
+            amount = rule.measure(then, now)
+            yield Difference(name, amount, _words_of_whole(then, now) if amount == OTHER else "")
     yield from _of_fields("", then, now, rules)
 
 
@@ -84,10 +85,21 @@ def _of_fields(prefix: str, then: Any, now: Any, rules: Rules) -> Iterator[Diffe
             yield Difference(path, apart(a, b), _words(a, b))
 
 
+def _words_of_whole(then: Any, now: Any) -> str:
+    """What of two whole messages there is to compare: nothing, where one of them has failed."""
+    one, other = (getattr(message, "status", None) for message in (then, now))
+    return f"{_word(one)} → {_word(other)}" if one is not other else "of one alone"
+
+
 def _words(a: Any, b: Any) -> str:
-    """Both values, where each is a word, a truth or nothing, and they differ; what else there is beside nothing."""
+    """Both values, where each is a word, a truth or nothing, and they differ; what else there is beside nothing.
+
+    Of lists, how many each holds, where that differs.
+    """
     if (a is None) != (b is None):
         return f"{_word(a)} → {_word(b)}"
+    if all(isinstance(value, tuple | np.ndarray) for value in (a, b)) and len(a) != len(b):
+        return f"{len(a)} → {len(b)} of them"
     if not all(isinstance(value, str | bool | enum.Enum | None) for value in (a, b)) or a == b:
         return ""
     return f"{_word(a)} → {_word(b)}"
@@ -98,7 +110,10 @@ def _word(value: Any) -> str:
         return value.name.lower()
     if value is None:
         return "nothing"
-    return str(value) or "nothing" if isinstance(value, str | bool | int | float) else "something"
+    if isinstance(value, str | bool | int | float):
+        return str(value) or "nothing"
+    held = (getattr(value, f.name) for f in dataclasses.fields(value)) if dataclasses.is_dataclass(value) else ()
+    return next((one.name.lower() for one in held if isinstance(one, enum.Enum)), "something")
 
 
 def apart(a: Any, b: Any) -> float:

@@ -16,6 +16,7 @@ class Code(enum.StrEnum):
 
     OTHER_ARM = "other_arm"
     UNKNOWN_PLAN = "unknown_plan"
+    CARRIED_OUT = "carried_out"
     REJECTED_PLAN = "rejected_plan"
     BUSY = "busy"
     NOT_READY = "not_ready"
@@ -159,7 +160,7 @@ class Plans:
         """A plan that was carried out is so once."""
         if self._plans.pop(plan_id, None) is not None:
             sentence = f"plan {plan_id} was carried out already: set a goal again"
-            _keep_few(self._unusable, plan_id, Refusal(Code.UNKNOWN_PLAN, sentence))
+            _keep_few(self._unusable, plan_id, Refusal(Code.CARRIED_OUT, sentence))
 
     def unusable(self, plan_id: str) -> Refusal | None:
         """Why the arm cannot be armed with a plan that came; None where nothing speaks against it, or none came."""

@@ -87,7 +87,7 @@ class Derivation:
         parts = [f"derived: {self.how}, of {self.source}{digest}"]
         heard = [name for name, one in self.agents.items() if one.outputs or one.kept]
         if heard:
-            parts.append(f"ran anew: {', '.join(heard)}; what other agents said is as of the source")
+            parts.append(f"ran anew, in {self.version}: {', '.join(heard)}; what other agents said is as of the source")
         if silent := [name for name in self.agents if name not in heard]:
             parts.append(f"nothing in it is of {', '.join(silent)}, which ran anew{' too' if heard else ''}")
         parts += [

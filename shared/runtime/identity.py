@@ -45,7 +45,7 @@ def check_identity(identity: Identity) -> None:
             path.open("rb").close()
         except OSError as error:
             reason = error.strerror or "cannot be read"
-            made = "suturegrasp deploy certificates makes it, deploy install puts it there"
+            made = "suturegrasp deploy certificates makes it, and deploy install puts it where an installed rig has it"
             raise IdentityError(f"{path}: {reason}; {made}") from None
     begins_ns, ends_ns = validity_ns(identity.certificate)
     at_ns = now_ns()

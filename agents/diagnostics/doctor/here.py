@@ -16,7 +16,7 @@ from agents.camera.image_files import ImageFileError
 from agents.camera.sources import SourceError
 from agents.configuration.reading_session import certificate_names
 from agents.configuration.rig import RigConfig
-from agents.deployment.places import SESSIONS
+from agents.deployment.places import CERTIFICATES, HOME, RIG_FILE, SESSIONS
 from agents.diagnostics.doctor.finding import UNKNOWN, Finding
 from agents.diagnostics.status.health_watch import name_of, span_of
 from agents.diagnostics.status.judgement import LEAST_FREE_BYTES, NS_PER_S, expiry
@@ -123,7 +123,8 @@ def _certificates(rig: RigConfig) -> Iterator[Finding]:
     folder, at_ns = rig.security.certificates, now_ns()
     names = certificate_names(folder)
     if not names:
-        made = "suturegrasp deploy install puts there those that suturegrasp deploy certificates has made"
+        made = "where suturegrasp deploy certificates has made them, suturegrasp deploy install puts them"
+        made = f"{made} into {CERTIFICATES}: look then with --config {HOME / RIG_FILE}"
         yield Finding("certificates", f"there are none in {folder}, or they cannot be read", made)
         return
     router = [ROUTER_CERTIFICATE] if identity_in(folder, ROUTER_CERTIFICATE).certificate.exists() else []

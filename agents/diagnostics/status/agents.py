@@ -20,6 +20,8 @@ FILLED_SHARE = 0.8
 LASTS_S = 10.0
 """What was refused longer ago, with nothing since, is over, and a process that began anew longer ago runs."""
 RESTARTED = "restarted"
+SAID_HZ = 0.5
+"""An input that comes more seldom is no cause to name."""
 SETTLED_S = 5.0
 """Rates are over two seconds, and sources and models take as long to begin."""
 HOST_NEEDS = 2
@@ -204,8 +206,8 @@ def _because(
         return f", for a step takes {health.step_ms_p50:.0f} ms"
     if health.processor_share is None:
         return ""
-    taken_hz = sum(heard.rate_hz for heard in health.inputs)
-    taken = f"it takes {taken_hz:.0f} messages a second, " if taken_hz >= 0.5 else ""
+    each = [f"{heard.rate_hz:.0f} of {heard.topic}" for heard in health.inputs if heard.rate_hz >= SAID_HZ]
+    taken = f"it takes {listed(each)} a second, " if each else ""
     share = f", and it gets {health.processor_share:.0%} of a processor"
     steps = (
         f"half of its steps take over {health.step_ms_p50:.0f} ms, one in a hundred over {health.step_ms_p99:.0f} ms"

@@ -120,7 +120,7 @@ def test_a_cut_names_as_run_anew_and_as_kept_only_what_it_holds(run, tmp_path):
     outputs, kept = ([getattr(one["reconstruction"], of) for one in anew] for of in ("outputs", "kept"))
     assert outputs[0] == outputs[1] + outputs[2]
     assert kept == [1, 1, 0]
-    assert "ran anew: reconstruction;" in completeness(early).derived[-2].sentence
+    assert "ran anew, in " in completeness(early).derived[-2].sentence
     # of live steps and of a replay's, which are no figures of one kind, none is told beside the other
     _, out, _ = run("inspect", EXAMPLE, derived)
     rows = [line.split()[-2:] for line in out.splitlines() if "replayed p99" in line]

@@ -168,7 +168,7 @@ def test_a_step_is_blamed_only_where_it_fills_the_time():
 
     assert told(12.0, 80.0).endswith(", for a step takes 80 ms")
     steps = "half of its steps take over 40 ms, one in a hundred over 165 ms, and it gets 91% of a processor"
-    assert told(12.0, 40.0).endswith(f"; it takes 12 messages a second, {steps}")
+    assert told(12.0, 40.0).endswith(f"; it takes 12 of camera/frames a second, {steps}")
     # all that arrives is looked at, and that is little
     assert told(0.6, 40.0, frozenset()).endswith(", for it waits for camera/frames, which reaches it at 1 Hz")
 

@@ -13,7 +13,7 @@ from agents.inspection.grasps import GraspCollector
 from agents.inspection.session import read_session
 from agents.inspection.tables import head_lines, session_tables
 from schemas import messages
-from schemas.topics import CONFIGURATION, EXECUTION, FRAMES, HEALTH, HOLD, LOG, PLAN, SET, key
+from schemas.topics import ARM, CONFIGURATION, EXECUTION, FRAMES, HEALTH, HOLD, LOG, PLAN, SET, key
 from shared.recording.derivation import Anew, Derivation
 from shared.recording.entry import Entry
 from tests.agents.inspection.conftest import ZERO_NS, event, frame, health, ns, plan
@@ -83,6 +83,25 @@ def test_a_refused_goal_and_a_held_grasp_are_put_together(recording):
     assert (held.outcome, held.ended) == ("held", "grasp held: caught at 50 %")
     (arming,) = held.armings
     assert [event.phase for event in arming.events if event.phase] == list(messages.Phase)
+
+
+def test_a_grasp_that_held_did_though_its_plan_is_armed_once_more_and_refused(a_session, tmp_path):
+    whole = a_session()
+    again = messages.Arm(messages.CommandHeader("a2", ns(99), "operator"), "psm1", "plan-g2")
+    answer = messages.CommandAnswer("a2", messages.Outcome.REFUSED, "carried_out", "set a goal again")
+    whole.command(ARM, again, answer, 1.8, "robot_bridge", "psm1")
+    _, held = read_session(whole.write(tmp_path / "a.mcap")).grasps
+    assert (held.outcome, held.ended, len(held.armings)) == ("held", "grasp held: caught at 50 %", 2)
+
+
+def test_a_pause_between_two_runs_of_a_publisher_is_a_gap(maker, tmp_path):
+    for number, at_s in enumerate(np.arange(0, 2, 0.2)):
+        maker.put(FRAMES, frame(number, at_s), at_s)
+        maker.put(FRAMES, frame(number, at_s + 5.0), at_s + 5.0, epoch=2)
+    (frames,) = [one for one in read_session(maker.write(tmp_path / "a.mcap")).contents if one.key == FRAMES_KEY]
+    (gap,) = frames.gaps
+    assert (frames.runs, gap.lost) == (2, 0)
+    assert (gap.to_ns - gap.from_ns) == pytest.approx(3.2e9, abs=1e7)
 
 
 def test_a_grasp_whose_beginning_was_not_recorded_is_told_from_what_there_is(a_session, tmp_path):

@@ -50,7 +50,7 @@ def test_an_armed_plan_is_carried_out_phase_by_phase_to_its_end_and_each_turn_te
         np.testing.assert_allclose(state.T_base_tool, forward(state.joints), atol=1e-15)
         np.testing.assert_array_equal(state.T_camera_base, SIMULATED_T_CAMERA_BASE)
     assert stands_still(drive)
-    assert drive.arm().code == Code.UNKNOWN_PLAN, "what was carried out is so once"
+    assert drive.arm().code == Code.CARRIED_OUT, "what was carried out is so once"
 
 
 def test_irregular_ticks_make_it_late_but_never_fast() -> None:
