@@ -35,6 +35,7 @@ class Arming:
     arming_id: str
     at_ns: int | None
     answer: CommandAnswer
+    plan_id: str = ""
     events: list[ExecutionEvent] = field(default_factory=list[ExecutionEvent])
     judgement: GraspJudgement | None = None
 
@@ -46,17 +47,35 @@ class Grasp:
     Fields:
         goal: None where the recording lacks it, as for a plan that was made before it began.
         at_ns: when the planner got the goal, or when the first thing that is known of it was published.
-        plan_ns: when the plan was published.
-        plan_before: whether that was before the recording began, which repeats it.
+        plans: by their ids, with when each was published, and whether that was before the recording began, which
+            repeats it.
     """
 
     at_ns: int
     goal: GraspGoal | None
     answer: CommandAnswer
-    plan: GraspPlan | None = None
-    plan_ns: int | None = None
-    plan_before: bool = False
+    plans: dict[str, tuple[GraspPlan, int, bool]] = field(default_factory=dict[str, tuple[GraspPlan, int, bool]])
     armings: list[Arming] = field(default_factory=list[Arming])
+
+    @property
+    def plan(self) -> GraspPlan | None:
+        """The one that was carried out; where none was, the newest. Further attempts may never be armed."""
+        return self._planned[0]
+
+    @property
+    def plan_ns(self) -> int | None:
+        """When that was published."""
+        return self._planned[1]
+
+    @property
+    def plan_before(self) -> bool:
+        """Whether that was before the recording began."""
+        return self._planned[2]
+
+    @property
+    def _planned(self) -> tuple[GraspPlan | None, int | None, bool]:
+        armed = self.plans.get(self.deciding.plan_id) if self.armings else None
+        return armed or next(reversed(self.plans.values()), (None, None, False))
 
     @property
     def ended(self) -> str:
@@ -148,7 +167,7 @@ class GraspCollector:
             case GraspJudgement():
                 grasp = self._grasp_of_plan(message.plan_id, message.at_ns)
                 if not grasp.armings:
-                    grasp.armings.append(Arming("", None, UNKNOWN))
+                    grasp.armings.append(Arming("", None, UNKNOWN, message.plan_id))
                 grasp.deciding.judgement = message
             case _:
                 raise MessageError(f"{type(message).__name__} is no part of a grasp")
@@ -176,14 +195,16 @@ class GraspCollector:
         grasp = self._of_goal.get(plan.goal_id) or self._of_plan.get(plan.plan_id)
         if grasp is None:
             grasp = self._new(published_ns, None, UNKNOWN)
-        grasp.plan, grasp.plan_ns, grasp.plan_before = plan, published_ns, before
+        # one that is told again is the newest
+        grasp.plans.pop(plan.plan_id, None)
+        grasp.plans[plan.plan_id] = plan, published_ns, before
         self._of_goal[plan.goal_id] = self._of_plan[plan.plan_id] = grasp
 
     def _arming(self, arming_id: str, plan_id: str, at_ns: int) -> Arming:
         name = f"{arming_id} {plan_id}"
         arming = self._armings.get(name)
         if arming is None:
-            arming = self._armings[name] = Arming(arming_id, None, UNKNOWN)
+            arming = self._armings[name] = Arming(arming_id, None, UNKNOWN, plan_id)
             self._grasp_of_plan(plan_id, at_ns).armings.append(arming)
         return arming
 

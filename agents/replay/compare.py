@@ -34,12 +34,14 @@ class Rule:
         tolerance: the largest difference that counts as none, in `unit`.
         measure: the difference of the two values; of the two whole messages where the rule's name is that of no field.
         ignored: why the field is not compared; empty where it is.
+        told: what of a whole message is measured, in words, for where no number tells two apart.
     """
 
     tolerance: float = 0.0
     unit: str = ""
     measure: Measure | None = None
     ignored: str = ""
+    told: Callable[[Any], str] | None = None
 
 
 Rules = Mapping[str, Rule]
@@ -66,7 +68,8 @@ def differences(then: Any, now: Any, rules: Rules) -> Iterator[Difference]:
     for name, rule in rules.items():
         if rule.measure is not None and name.partition(".")[0] not in names:
             amount = rule.measure(then, now)
-            yield Difference(name, amount, _words_of_whole(then, now) if amount == OTHER else "")
+            told = rule.told if amount == OTHER else None
+            yield Difference(name, amount, f"{told(then)} → {told(now)}" if told else "")
     yield from _of_fields("", then, now, rules)
 
 
@@ -83,12 +86,6 @@ def _of_fields(prefix: str, then: Any, now: Any, rules: Rules) -> Iterator[Diffe
             yield from _of_fields(f"{path}.", a, b, rules)
         else:
             yield Difference(path, apart(a, b), _words(a, b))
-
-
-def _words_of_whole(then: Any, now: Any) -> str:
-    """What of two whole messages there is to compare: nothing, where one of them has failed."""
-    one, other = (getattr(message, "status", None) for message in (then, now))
-    return f"{_word(one)} → {_word(other)}" if one is not other else "of one alone"
 
 
 def _words(a: Any, b: Any) -> str:

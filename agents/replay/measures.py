@@ -6,6 +6,7 @@ what is seen lies 100 mm away.
 """
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,21 @@ MOST = 95
 """The percentile of distances between centrelines: one pixel of a mask may make a spur, or take one away."""
 
 Polyline = Float64[np.ndarray, "n d"]
+
+
+def told(field: str, name: str) -> Callable[[Any], str]:
+    """What tells in words how many of something a message holds."""
+    return lambda message: f"{len(getattr(message, field)) or 'no'} {name}"
+
+
+def phases_told(plan: GraspPlan) -> str:
+    """The phases that a plan has."""
+    return ", ".join(phase.name.lower() for phase in _begins(plan.waypoints)) or "no phases"
+
+
+def cells_told(surface: TissueSurface) -> str:
+    """How much of the tissue is known."""
+    return f"{int(surface.valid.sum())} of {surface.valid.size} cells known"
 
 
 def curves_apart_mm(then: ThreadReconstruction, now: ThreadReconstruction) -> float:

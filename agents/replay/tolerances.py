@@ -39,7 +39,7 @@ def _trail(side: str) -> dict[str, Rule]:
 
 
 _OBSERVATIONS: dict[str, Rule] = {
-    "points": Rule(0.5, "mm", measures.points_apart_mm),
+    "points": Rule(0.5, "mm", measures.points_apart_mm, told=measures.told("points_camera", "points")),
     "points_camera": Rule(ignored="compared as `points`: a line may have other corners"),
     "half_size_px": Rule(ignored="one for each point, of which there may be others"),
     "matched_px": Rule(ignored="tens of thousands, of which the points are the sum"),
@@ -63,11 +63,13 @@ _OBSERVATIONS: dict[str, Rule] = {
     **_trail("trail_right"),
 }
 
+_CURVE = measures.told("control_points_camera", "control points")
+
 _RECONSTRUCTION: dict[str, Rule] = {
-    "curve": Rule(0.1, "mm", measures.curves_apart_mm),
-    "ends": Rule(0.2, "mm", measures.ends_apart_mm),
-    "deviation": Rule(0.15, "mm", measures.deviation_apart_mm),
-    "confidence_along_s": Rule(0.1, "", measures.confidence_apart),
+    "curve": Rule(0.1, "mm", measures.curves_apart_mm, told=_CURVE),
+    "ends": Rule(0.2, "mm", measures.ends_apart_mm, told=_CURVE),
+    "deviation": Rule(0.15, "mm", measures.deviation_apart_mm, told=measures.told("posterior_s", "places")),
+    "confidence_along_s": Rule(0.1, "", measures.confidence_apart, told=measures.told("confidence_s", "places")),
     "knots": Rule(ignored="compared as `curve`: one curve has many descriptions"),
     "control_points_camera": Rule(ignored="compared as `curve`"),
     "posterior_s": Rule(ignored="compared as `deviation`"),
@@ -102,8 +104,8 @@ _RECONSTRUCTION: dict[str, Rule] = {
 }
 
 _PLAN: dict[str, Rule] = {
-    "tool_path": Rule(0.5, "mm", measures.tool_paths_apart_mm),
-    "tool_turned": Rule(5.0, "deg", measures.tool_turned_deg),
+    "tool_path": Rule(0.5, "mm", measures.tool_paths_apart_mm, told=measures.told("waypoints", "waypoints")),
+    "tool_turned": Rule(5.0, "deg", measures.tool_turned_deg, told=measures.phases_told),
     "waypoints": Rule(ignored="compared as `tool_path` and `tool_turned`"),
     "alternatives": Rule(ignored="what was not chosen; that shows in `s_capture` and `probability`"),
     "s_goal": Rule(0.01, "s"),
@@ -140,7 +142,7 @@ _CHECK: dict[str, Rule] = {
 }
 
 _SURFACE: dict[str, Rule] = {
-    "typical_depth": Rule(0.2, "mm", measures.depths_apart_mm),
+    "typical_depth": Rule(0.2, "mm", measures.depths_apart_mm, told=measures.cells_told),
     "depth": Rule(ignored="compared as `typical_depth`: single cells may be matched otherwise"),
     "valid": Rule(ignored="single cells may be matched otherwise"),
     "deviation": Rule(ignored="likewise"),

@@ -86,7 +86,12 @@ def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> Rig
                 else section
                 for arm, section in arms.items()
             }
-    merged = recorded.model_copy(update=sections)
+    merged, seen = recorded.model_copy(update=sections), recorded.perception
+    has_matches = seen is not None and (seen.matching or (seen.matching is None and recorded.needs_matching))
+    if merged.needs_matching and "perception" not in sections and not has_matches:
+        method = merged.reconstruction.method if merged.reconstruction else ""
+        lacks = f"reconstruction.method {method!r} needs matches, which perception did not make in this recording"
+        raise ConfigError(f"{lacks}: have it run anew too, with --through perception,reconstruction")
     # where it is unset, perception matches as the method of reconstruction of its own configuration needs it
     matched = (used if "perception" in sections else recorded).needs_matching
     if merged.perception is not None and merged.perception.matching is None and merged.needs_matching != matched:

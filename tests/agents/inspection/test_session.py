@@ -94,6 +94,14 @@ def test_a_grasp_that_held_did_though_its_plan_is_armed_once_more_and_refused(a_
     assert (held.outcome, held.ended, len(held.armings)) == ("held", "grasp held: caught at 50 %", 2)
 
 
+def test_the_plan_of_a_grasp_is_the_one_that_was_carried_out_and_not_a_further_attempt(a_session, tmp_path):
+    whole = a_session()
+    whole.put(PLAN, dataclasses.replace(plan("g2", 18, 1.7), plan_id="plan-g2-2", slide_m=0.0), 1.75)
+    _, held = read_session(whole.write(tmp_path / "a.mcap")).grasps
+    assert held.plan is not None
+    assert (held.plan.plan_id, held.plan.slide_m, held.outcome) == ("plan-g2", 0.004, "held")
+
+
 def test_a_pause_between_two_runs_of_a_publisher_is_a_gap(maker, tmp_path):
     for number, at_s in enumerate(np.arange(0, 2, 0.2)):
         maker.put(FRAMES, frame(number, at_s), at_s)
