@@ -60,12 +60,12 @@ def built_robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBr
     from agents.launch.audit import audit_of, state_folder
     from agents.launch.audited_bridge import AuditedBridge
     from agents.launch.guard_process import naming_of
-    from agents.robot_bridge.dvrk.frames_moved import Since
+    from agents.robot_bridge.dvrk.frames_moved import SinceRegistration
     from agents.robot_bridge.dvrk.psm import DvrkPsm
 
     told = section.dvrk
     of = rig.rig, base.reference.name, config.registered_ns, base.calibration_id, np.ravel(base.T).tolist()
-    since = Since(
+    since = SinceRegistration(
         state_folder(rig).resolve() / REGISTERED / f"{arm}-{hashlib.sha256(repr(of).encode()).hexdigest()[:12]}.json"
     )
     reached = SessionSettings(rig.rig, told.endpoint, rig.identity_of(run_name("robot_bridge", arm)))

@@ -207,8 +207,13 @@ class RobotBridge(Agent):
 
     def _pause(self, now_ns: int) -> None:
         """Have the console pause, again and again until it does nothing by itself any more."""
-        if self._pauses:
+        if not self._pauses:
+            return
+        try:
             self._backend.change_state(StateWord.PAUSE, now_ns)
+        except Exception:
+            # a hold is answered whatever becomes of this, which is said again in each turn
+            self._log.exception("the console could not be told to pause")
 
     def _hold_again(self) -> None:
         try:

@@ -24,11 +24,11 @@ from agents.robot_bridge.correction import Correcting
 from agents.robot_bridge.jaw import Jaw
 from agents.robot_bridge.limits import Setup
 from agents.robot_bridge.measuring import Measuring
+from agents.robot_bridge.motion import CONTACT
 from agents.robot_bridge.plans import Code, Refusal, taken_ns
 from agents.robot_bridge.tissue import measured_at
-from schemas.messages import FrameStamp, GraspPlan, Phase, TissueSurface, ToolCorrection
+from schemas.messages import FrameStamp, GraspPlan, TissueSurface, ToolCorrection
 
-CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP)
 DAY_NS = 86_400_000_000_000
 
 

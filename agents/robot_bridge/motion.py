@@ -24,7 +24,7 @@ from schemas.messages import Phase, Waypoint
 from shared.rigid_transforms import angle_between, inverse
 
 MAXIMUM_WAYPOINTS = 1000
-_CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP)
+CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP)
 _LEAST_SLOWING = 1.02
 """Slowing a leg moves its samples, so that the factor that was too fast before may not quite do."""
 _ROUNDING = 1e-9
@@ -226,7 +226,7 @@ def _sample(
     setup: Setup,
 ) -> tuple[Float64[np.ndarray, "n 6"], Float64[np.ndarray, "n"]] | Refusal | None:
     """Joints and jaw of every tick after the leg's start; None where it leads nowhere."""
-    share = setup.limits.contact_share if leg.phase in _CONTACT else 1.0
+    share = setup.limits.contact_share if leg.phase in CONTACT else 1.0
     path, slowing = smooth_path(leg.poses, setup.limits, share), 1.0
     if path is None:
         return None

@@ -75,7 +75,7 @@ def apart(one: Float64[np.ndarray, "4 4"], other: Float64[np.ndarray, "4 4"]) ->
     return Apart(float(np.linalg.norm(one[:3, 3] - other[:3, 3])), turned)
 
 
-class Since:
+class SinceRegistration:
     """Where frames were first since an arm was registered, and who let go of its set-up joints; in a file, if any.
 
     Fields:
@@ -133,9 +133,9 @@ class FramesWatch:
         T_camera_base: as it follows from where the ECM is; None where it does not depend on that, or is not known yet.
     """
 
-    def __init__(self, arm: str, base: HandEye | None, since: Since | None = None) -> None:
+    def __init__(self, arm: str, base: HandEye | None, since: SinceRegistration | None = None) -> None:
         """An arm by its console's name; with a `base` that is told from the ECM, it is followed."""
-        self._since = Since() if since is None else since
+        self._since = SinceRegistration() if since is None else since
         self._arm, self._base = arm, base if base is not None and base.reference is Reference.ECM_BASE else None
         self.still_since_ns, self.T_camera_base = 0, None
         self._lock = threading.Lock()

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState, Readiness
-from agents.robot_bridge.dvrk.frames_moved import FramesWatch, Since
+from agents.robot_bridge.dvrk.frames_moved import FramesWatch, SinceRegistration
 from agents.robot_bridge.dvrk.guard_link import GuardLink
 from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, STOPPING, TELEOPERATION, Judged, Measured, Readings
 from agents.robot_bridge.dvrk.set_points import SetPointsWatch
@@ -88,7 +88,7 @@ class DvrkPsm:
         kinematics: ArmKinematics = LARGE_NEEDLE_DRIVER,
         base: HandEye | None = None,
         has_no: Collection[str] = (),
-        since: Since | None = None,
+        since: SinceRegistration | None = None,
         linked: Callable[..., Linked] = RosLink,
         clock: Callable[[], int] = clock_ns,
         monotonic: Callable[[], int] = monotonic_ns,

@@ -227,6 +227,25 @@ def test_a_real_arms_bridge_that_begins_takes_no_plan_of_a_frame_of_before() -> 
     assert drive.arm("new", pressed=True).outcome is Outcome.ACCEPTED
 
 
+def test_a_hold_is_answered_though_a_console_that_does_something_by_itself_cannot_be_told_to_pause() -> None:
+    drive, asked = Drive(backend=RealArm()), list[StateWord]()
+
+    def fails(word: StateWord, _now_ns: int) -> str:
+        asked.append(word)
+        raise OSError("the link is gone")
+
+    drive.backend.change_state = fails
+    drive.backend.tell(busy=True)
+    drive.tick()
+    assert drive.hold().outcome is Outcome.ACCEPTED
+    drive.tick()
+    assert asked == [StateWord.PAUSE] * 2, "and again in each turn"
+    drive.backend.tell(busy=False)
+    drive.tick()
+    drive.tick()
+    assert len(asked) <= 3
+
+
 def test_whoever_arms_may_ask_for_few_segments_and_gets_no_more_than_there_may_be() -> None:
     drive = Drive().armed(segments=2**32 - 1)
     assert drive.bridge._execution is not None

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from agents.dvrk_emulator.messages import Joy, header
-from agents.robot_bridge.dvrk.frames_moved import ECM_AGE_NS, LOCAL, MEASURED, SETTLED_NS, TIP, FramesWatch, Since
+from agents.robot_bridge.dvrk.frames_moved import (
+    ECM_AGE_NS,
+    LOCAL,
+    MEASURED,
+    SETTLED_NS,
+    TIP,
+    FramesWatch,
+    SinceRegistration,
+)
 from schemas.messages import ExecutionKind
 from shared.calibration.hand_eye.file import FLIP, HandEye, Reference
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_CAMERA_BASE
@@ -105,7 +113,7 @@ def test_what_was_told_of_camera_or_base_and_comes_no_more_speaks_against_moving
 
 def test_a_bridge_that_begins_anew_still_holds_what_moved_against_the_same_registration(tmp_path):
     def begun(registration="one"):
-        return FramesWatch("PSM1", None, Since(tmp_path / "kept" / f"{registration}.json"))
+        return FramesWatch("PSM1", None, SinceRegistration(tmp_path / "kept" / f"{registration}.json"))
 
     watch = begun()
     stands(watch, AT)
@@ -132,7 +140,7 @@ def test_a_bridge_that_begins_anew_still_holds_what_moved_against_the_same_regis
 
 def test_where_what_moved_cannot_be_kept_nothing_moves(tmp_path):
     (tmp_path / "kept").write_text("a file where a folder should be")
-    watch = FramesWatch("PSM1", None, Since(tmp_path / "kept" / "one.json"))
+    watch = FramesWatch("PSM1", None, SinceRegistration(tmp_path / "kept" / "one.json"))
     stands(watch, AT)
     assert "cannot be written" in watch.judge(AT)
 
