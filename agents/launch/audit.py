@@ -26,11 +26,13 @@ def audit_of(rig: RigConfig, name: str) -> "AuditLog":
     return AuditLog(state_folder(rig) / FOLDER / f"{name.replace(' ', '-')}.jsonl")
 
 
-def state_folder(rig: RigConfig) -> Path:
-    """Where a process of this host keeps what it must know when it begins anew."""
-    kept = os.environ.get(STATE_DIRECTORY)
-    sessions = rig.recorder.folder if rig.recorder is not None else OTHERWISE
-    return Path(kept) if kept else sessions
+def state_folder(rig: RigConfig, of: Path | None = None) -> Path:
+    """Where a process of this host keeps what it must know when it begins anew: beside the file that it is `of`."""
+    if kept := os.environ.get(STATE_DIRECTORY):
+        return Path(kept)
+    if of is not None:
+        return of.resolve().parent
+    return rig.recorder.folder if rig.recorder is not None else OTHERWISE
 
 
 class AuditLog:

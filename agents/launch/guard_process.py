@@ -166,6 +166,8 @@ class _Keeper:
                 # before it has reached the robot's Zenoh there is nothing to be heard of
                 if not self._heard_s or monotonic_s() - max(self._heard_s, begun_s) < SILENT_S:
                     self._manager.alive()
+                else:
+                    self.fault = f"its monitor has said nothing for {SILENT_S:g} s: nothing passes to the console"
             with contextlib.suppress(OSError):
                 monitor.stdin.close()
             try:

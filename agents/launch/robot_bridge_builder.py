@@ -65,9 +65,8 @@ def built_robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBr
 
     told = section.dvrk
     of = rig.rig, base.reference.name, config.registered_ns, base.calibration_id, np.ravel(base.T).tolist()
-    since = SinceRegistration(
-        state_folder(rig).resolve() / REGISTERED / f"{arm}-{hashlib.sha256(repr(of).encode()).hexdigest()[:12]}.json"
-    )
+    folder = state_folder(rig, section.T_camera_base_file).resolve() / REGISTERED
+    since = SinceRegistration(folder / f"{arm}-{hashlib.sha256(repr(of).encode()).hexdigest()[:12]}.json")
     reached = SessionSettings(rig.rig, told.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
     backend = DvrkPsm(
         told.arm, reached, naming_of(told), told.tool, told.dry_run, base=base, has_no=told.has_no, since=since

@@ -8,6 +8,7 @@ from schemas.messages import (
     GraspGoal,
     HostClock,
     HostClocks,
+    RobotMode,
     RobotState,
     ThreadReconstruction,
     TissueSurface,
@@ -146,4 +147,7 @@ def _fresh_arm(arm: str, arms: Mapping[str, RobotState], now_ns: int, config: Pl
             f"the last state of {arm} was measured {age_ms:.0f} ms ago, and at most {config.arm_age_ms:.0f} ms are "
             "accepted; is its bridge running, and are the clocks set?",
         )
+    if state.mode is RobotMode.MOVING:
+        # whoever stands by sees the newest plan
+        raise RefusedGoalError("arm_moves", f"{arm} carries out plan {state.plan_id}: let it end, or say hold, first")
     return state

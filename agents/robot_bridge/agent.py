@@ -69,9 +69,9 @@ RESTS_AFTER_S = 1.0
 REPLAY_OVER_S = 2.0
 """A replay that was not heard for so long is over."""
 UNTOLD = "the arm could not be told yet: it is told again in each turn, and the guard beside it lets nothing pass"
+UNSENT = "nothing was sent: this is a dry run (dry_run of the arm's configuration); stop the arm at its console"
 HELD_MEANWHILE = Refusal(
-    Code.HOLD_COMMAND,
-    "somebody said hold at the console since whoever arms last heard of the arm: look, then arm again",
+    Code.HOLD_COMMAND, "somebody said hold since whoever asks last heard of the arm: look, then ask again"
 )
 MOST_SEGMENTS = 8
 """Of a chained motion, which whoever arms it may only make fewer."""
@@ -99,7 +99,8 @@ class RobotBridge(Agent):
         self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), tissue, frames, *corrections, *clock)
         self.config, self._backend = config, backend
         self._plans, self._states = Plans(config.arm), StateChanges(config.arm, backend)
-        self._challenges, self._sight = Challenges(), Sight(config.arm, backend.is_real)
+        self._challenges = Challenges()
+        self._sight = Sight(config.arm, backend.is_real, self._challenges)
         self._now_ns: int | None = None
         self._replay_over_ns = 0
         self._rests_from_ns = 0
@@ -108,6 +109,7 @@ class RobotBridge(Agent):
         self._holding = False
         self._unconfirmed = False
         self._told_to_hold = True
+        self._held_at_ns = 0
         self._pauses = False
         self._turns = 0
         self._log = logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}")
@@ -190,7 +192,8 @@ class RobotBridge(Agent):
         if self._unconfirmed:
             self._hold_again()
         try:
-            self._pauses = self._pauses and self._is_busy
+            # that a console does something by itself may be heard later than that it was told to
+            self._pauses = self._pauses and (self._is_busy or bool(self._states.awaited))
             self._pause(now_ns)
             outputs, failure = self._turn(now_ns), None
         except Exception as error:
@@ -247,6 +250,7 @@ class RobotBridge(Agent):
             self._plans.begins(now_ns)
             self._sight.hear(None)
             self._stands.forget_tissue()
+            self._held_at_ns = min(self._held_at_ns, now_ns)
 
     def _tells(self) -> bool:
         """Whether the state is told in this turn; where set points go out faster than it, not in each."""
@@ -326,7 +330,7 @@ class RobotBridge(Agent):
     def _keep(self, plan: GraspPlan) -> list[Output]:
         """Keep a plan; one that continues the motion between two segments is gone on with."""
         now_ns = self._now_ns or 0
-        self._plans.keep(plan, replayed=now_ns < self._replay_over_ns)
+        self._plans.keep(plan, self._now_ns, replayed=now_ns < self._replay_over_ns)
         if self._backend.is_real and plan.status is Status.OK:
             # challenges come often from now on, so that how long an answer takes is known when somebody arms
             self._may_be_armed_ns = now_ns + round(self.config.maximum_plan_age_s * 1e9)
@@ -368,17 +372,23 @@ class RobotBridge(Agent):
         if refusal := other_arm(self.config.arm, message.arm, command.instance):
             return [refused(message.header.id, refusal)]
         said, executing = message.word.name.lower() if isinstance(message, ChangeState) else "hold", self.executes
-        held = self.stop(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said {said}"), command.now_ns)
+        why = Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said {said}")
+        # whoever is about to arm is told as well, so an arm that carries out nothing tells of its hold, too
+        self._held_at_ns = command.now_ns
+        held = self.stop(why, command.now_ns) or [self._told_held(why, command.now_ns)]
         if not isinstance(message, ChangeState):
             # what a console does by itself, such as homing, it goes on with: what stops that is a state
             self._pauses = not executing and (bool(self._states.awaited) or self._is_busy)
             self._pause(command.now_ns)
-            return [accepted(message.header.id, "" if self._told_to_hold else UNTOLD), *held]
+            told = UNSENT if self._backend.dry_run else "" if self._told_to_hold else UNTOLD
+            return [accepted(message.header.id, told), *held]
         return [self._states.answer(message, command.now_ns, self.config.ratio), *held]
 
     def _answer_arm(self, command: Command, message: Arm) -> list[Output | CommandAnswer]:
         armed, of = self._arm(command, message), (message.plan_id, message.header.id)
-        if isinstance(armed, Execution) and not self._backend.rearm(message.challenge_ns):
+        if isinstance(armed, Execution) and (
+            self._asked_before_a_hold(message) or not self._backend.rearm(message.challenge_ns)
+        ):
             armed = HELD_MEANWHILE
         if isinstance(armed, Refusal):
             event = event_of(self.config.arm, *of, ExecutionKind.REFUSED, command.now_ns, armed)
@@ -400,7 +410,17 @@ class RobotBridge(Agent):
         arm = self._stands.measure(command.now_ns)
         if self._backend.is_real and (why := self._nobody(message, arm, command.now_ns)):
             return refused(of, why)
+        if self._asked_before_a_hold(message):
+            return refused(of, HELD_MEANWHILE)
+        self._pauses = False
         return self._states.answer(message, command.now_ns, self.config.ratio)
+
+    def _asked_before_a_hold(self, message: Arm | ChangeState) -> bool:
+        """Whether whoever asks had heard nothing of the arm since the last hold: commands that stop overtake others."""
+        return 0 < message.challenge_ns <= self._held_at_ns
+
+    def _told_held(self, why: Refusal, now_ns: int) -> Output:
+        return event_of(self.config.arm, "", "", ExecutionKind.HELD, now_ns, why)
 
     def _arm(self, command: Command, message: Arm) -> Execution | Refusal:
         if refusal := other_arm(self.config.arm, message.arm, command.instance) or self._plans.unusable(

@@ -164,44 +164,6 @@ class Standing:
         return 0 if arm is None else arm.still_since_ns
 
 
-class Sight:
-    """What one arm's bridge has been told of frames."""
-
-    def __init__(self, arm: str, is_real: bool) -> None:
-        self._arm, self._is_real = arm, is_real
-        self._newest: FrameStamp | None = None
-
-    def hear(self, stamp: FrameStamp | None) -> None:
-        """A frame was taken; None where none of before counts any more."""
-        self._newest = stamp
-
-    def refusal(self, now_ns: int, maximum_age_s: float) -> Refusal | None:
-        """Why nobody may be moved by what the camera shows; None where it is new enough."""
-        if self._newest is None:
-            silent = "no camera has told of a frame yet: see that the camera runs, and that it is of this version"
-            return Refusal(Code.FRAME_AGE, silent) if self._is_real else None
-        return too_old(self._newest, self._arm, self._is_real, now_ns, maximum_age_s, "the newest camera frame")
-
-
-def too_old(stamp: FrameStamp, arm: str, is_real: bool, now_ns: int, maximum_age_s: float, what: str) -> Refusal | None:
-    """Why a frame is too old to be moved by; None where it is not. Without an echo its own clock is believed."""
-    echo_ns = stamp.echo_of(arm)
-    if echo_ns == 0 and is_real:
-        blind = f"{what} echoes no challenge of {arm}, so that nobody knows how old it is"
-        remedy = f"see that the camera's agent hears the bridge of {arm}, and that its picture is not always the same"
-        return Refusal(Code.FRAME_AGE, f"{blind}: {remedy}")
-    since_ns = echo_ns or min(stamp.capture_left_ns, stamp.capture_right_ns)
-    age_s = (now_ns - since_ns) * 1e-9
-    if echo_ns and age_s < 0:
-        return Refusal(
-            Code.FRAME_AGE, f"{what} echoes a challenge of before the bridge's clock was set: wait for another"
-        )
-    if age_s <= maximum_age_s:
-        return None
-    old = f"{what} is {age_s:.1f} s old, and {maximum_age_s:g} s are allowed"
-    return Refusal(Code.FRAME_AGE, f"{old}: see to the camera and its link, then plan again")
-
-
 KEPT_NS = 10_000_000_000
 """An answer that comes later than that is told to be older than this."""
 
@@ -234,3 +196,49 @@ class Challenges:
             return None
         newer = next((issued_ns for issued_ns in self._issued if issued_ns > challenge_ns), now_ns)
         return now_ns - newer
+
+
+class Sight:
+    """What one arm's bridge has been told of frames."""
+
+    def __init__(self, arm: str, is_real: bool, challenges: Challenges) -> None:
+        self._arm, self._is_real, self._challenges = arm, is_real, challenges
+        self._newest: FrameStamp | None = None
+
+    def hear(self, stamp: FrameStamp | None) -> None:
+        """A frame was taken; None where none of before counts any more."""
+        self._newest = stamp
+
+    def refusal(self, now_ns: int, maximum_age_s: float) -> Refusal | None:
+        """Why nobody may be moved by what the camera shows; None where it is new enough."""
+        if self._newest is None:
+            silent = "no camera has told of a frame yet: see that the camera runs, and that it is of this version"
+            return Refusal(Code.FRAME_AGE, silent) if self._is_real else None
+        newest = self._newest, self._arm, self._is_real, now_ns, maximum_age_s, "the newest camera frame"
+        return too_old(*newest) or self._unissued(self._newest.echo_of(self._arm), now_ns)
+
+    def _unissued(self, echo_ns: int, now_ns: int) -> Refusal | None:
+        """Why an echo tells no age: this bridge did not issue it, or did so before its clock was set back."""
+        if not self._is_real or self._challenges.age_ns(echo_ns, now_ns) is not None:
+            return None
+        before = "the newest camera frame echoes a challenge of before this bridge began or its clock was set"
+        return Refusal(Code.FRAME_AGE, f"{before}: wait for another")
+
+
+def too_old(stamp: FrameStamp, arm: str, is_real: bool, now_ns: int, maximum_age_s: float, what: str) -> Refusal | None:
+    """Why a frame is too old to be moved by; None where it is not. Without an echo its own clock is believed."""
+    echo_ns = stamp.echo_of(arm)
+    if echo_ns == 0 and is_real:
+        blind = f"{what} echoes no challenge of {arm}, so that nobody knows how old it is"
+        remedy = f"see that the camera's agent hears the bridge of {arm}, and that its picture is not always the same"
+        return Refusal(Code.FRAME_AGE, f"{blind}: {remedy}")
+    since_ns = echo_ns or min(stamp.capture_left_ns, stamp.capture_right_ns)
+    age_s = (now_ns - since_ns) * 1e-9
+    if echo_ns and age_s < 0:
+        return Refusal(
+            Code.FRAME_AGE, f"{what} echoes a challenge of before the bridge's clock was set: wait for another"
+        )
+    if age_s <= maximum_age_s:
+        return None
+    old = f"{what} is {age_s:.1f} s old, and {maximum_age_s:g} s are allowed"
+    return Refusal(Code.FRAME_AGE, f"{old}: see to the camera and its link, then plan again")

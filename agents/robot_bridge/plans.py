@@ -131,8 +131,13 @@ class Plans:
         self._unusable: dict[str, Refusal] = {}
         self.last = Begun("", 0)
 
-    def keep(self, plan: GraspPlan, replayed: bool) -> None:
-        """Keep a plan that this arm could be armed with, or else why it could not; `replayed` is one of a recording."""
+    def keep(self, plan: GraspPlan, now_ns: int | None, replayed: bool) -> None:
+        """Keep a plan that this arm could be armed with, or else why it could not.
+
+        Args:
+            now_ns: None where the bridge has not begun.
+            replayed: whether it is one of a recording.
+        """
         self._plans.pop(plan.plan_id, None)
         self._unusable.pop(plan.plan_id, None)
         if plan.arm != self._arm:
@@ -143,6 +148,9 @@ class Plans:
             _keep_few(self._unusable, plan.plan_id, Refusal(Code.REJECTED_PLAN, sentence))
         elif replayed:
             _keep_few(self._unusable, plan.plan_id, REPLAYED)
+        elif now_ns is not None and (future := _of_the_future(plan, now_ns)):
+            # a time to come would make it young then
+            _keep_few(self._unusable, plan.plan_id, future)
         else:
             _keep_few(self._plans, plan.plan_id, plan)
 
@@ -194,10 +202,15 @@ def untimely(plan: GraspPlan, now_ns: int, still_since_ns: int, last: Begun, max
         motion = f"the motion of plan {last.plan_id} began, which may have moved the thread"
         before = motion if last.plan_id else "this bridge began, or its clock was set: the jaws may hold thread since"
         return Refusal(Code.OUT_OF_ORDER, f"the frame of plan {plan.plan_id} was captured before {before}: plan again")
-    if age_s < -CLOCK_TOLERANCE_S:
-        future = f"the frame of plan {plan.plan_id} was captured {-age_s:.1f} s in the future"
-        return Refusal(Code.CLOCK, f"{future}: set the clocks of camera and bridge by each other")
-    return None
+    return _of_the_future(plan, now_ns)
+
+
+def _of_the_future(plan: GraspPlan, now_ns: int) -> Refusal | None:
+    ahead_s = (taken_ns(plan.stamp, plan.arm) - now_ns) * 1e-9
+    if ahead_s <= CLOCK_TOLERANCE_S:
+        return None
+    future = f"the frame of plan {plan.plan_id} was captured {ahead_s:.1f} s in the future"
+    return Refusal(Code.CLOCK, f"{future}: set the clocks of camera and bridge by each other")
 
 
 def taken_ns(stamp: FrameStamp, arm: str) -> int:

@@ -43,6 +43,7 @@ ECM = "ECM"
 CLUTCHES = ("footpedals/clutch", "console/clutch")
 PEDALS = ("footpedals/camera", "footpedals/clutch", "console/camera", "console/clutch")
 MEASURED, LOCAL, TIP = "measured_cp", "local/measured_cp", "tip"
+BESIDE_ECM = "base beside the ECM"
 
 
 class _Raw(NamedTuple):
@@ -82,13 +83,14 @@ class SinceRegistration:
         first: by kind.
         let_go: the button; empty where none did.
         unknown: why that is not known; empty where it is.
+        unwritten: why the file has not all of it; empty where it has.
     """
 
     def __init__(self, file: Path | None = None) -> None:
         """As the file of a registration has it."""
         self._file = file
         self.first: dict[str, Float64[np.ndarray, "4 4"]] = {}
-        self.let_go, self.unknown = "", ""
+        self.let_go, self.unknown, self.unwritten = "", "", ""
         if file is None or not file.exists():
             return
         try:
@@ -111,6 +113,11 @@ class SinceRegistration:
             self.let_go = button
             self._keep()
 
+    def write_again(self) -> None:
+        """Write what could not be written; a bridge that begins anew would not know of it."""
+        if self.unwritten:
+            self._keep()
+
     def _keep(self) -> None:
         if self._file is None or self.unknown:
             return
@@ -121,8 +128,9 @@ class SinceRegistration:
             self._file.parent.mkdir(parents=True, exist_ok=True)
             beside.write_text(text)
             beside.replace(self._file)
+            self.unwritten = ""
         except OSError as error:
-            self.unknown = f"{self._file} cannot be written ({error.strerror}): see to the disk, then start again"
+            self.unwritten = f"{self._file} cannot be written ({error.strerror})"
 
 
 class FramesWatch:
@@ -173,7 +181,7 @@ class FramesWatch:
             what = "the clutch was never heard of"
             remedy = "press the clutch once, or say has_no = ['clutch'] where there is none"
             found["clutch"] = what, remedy
-        if MEASURED not in self._raw and self._base is None:
+        if MEASURED not in self._raw:
             what = "whether the arm's base stands still was never told (measured_cp)"
             remedy = "let it through, or say has_no = ['set_up_joints'] where it is fixed to the table"
             found["set_up_joints"] = what, remedy
@@ -211,8 +219,11 @@ class FramesWatch:
         stands = self._tip(raw, now_ns) or self._reference(raw, now_ns)
         if let_go:
             self._since.lets_go(let_go)
+        self._since.write_again()
         if self._since.unknown:
             return f"what has moved since the arm was registered is not known: {self._since.unknown}"
+        if self._since.unwritten:
+            return f"{self._since.unwritten}, so that a new start would forget what has moved: see to the disk first"
         if self._since.let_go:
             return f"{self._since.let_go} let go of set-up joints: register the base anew, then start the bridge again"
         if stands:
@@ -237,8 +248,7 @@ class FramesWatch:
 
     def _reference(self, raw: dict[str, tuple[_Raw, ...]], now_ns: int) -> str:
         """What the arm's pose in two frames says; it holds an ECM's motion too, where the ECM itself is not told."""
-        if self._base is not None or MEASURED not in raw:
-            # it changes with the ECM, which is followed
+        if MEASURED not in raw:
             return ""
         paired = self._paired(raw, now_ns)
         if paired is not None:
@@ -250,8 +260,22 @@ class FramesWatch:
             return ""
         measured, local, _ = paired
         T_reference_base = measured.T @ inverse(local.T)
+        if self._base is not None:
+            return self._beside_ecm(T_reference_base, raw, now_ns)
         from_first = self._compared(MEASURED, T_reference_base, now_ns, "set-up joints or the camera moved")
         return _elsewhere("the base, by its set-up joints or the camera's,", from_first)
+
+    def _beside_ecm(
+        self, T_reference_base: Float64[np.ndarray, "4 4"], raw: dict[str, tuple[_Raw, ...]], now_ns: int
+    ) -> str:
+        """Whether the base stands in a fixed frame or in that of an ECM that is followed, whichever it is told in."""
+        tip = self._poses(TIP, raw)[-1][1]
+        if tip is None or now_ns - self.still_since_ns < SETTLED_NS:
+            # while the camera moves, its pose and the arm's are of different times
+            return ""
+        told = {MEASURED: T_reference_base, BESIDE_ECM: tip.T @ T_reference_base}
+        from_first = [apart(self._since.begins(kind, T), T) for kind, T in told.items()]
+        return _elsewhere("the base, by its set-up joints,", min(from_first, key=lambda each: each.moved))
 
     def _paired(self, raw: dict[str, tuple[_Raw, ...]], now_ns: int) -> tuple[crtk.Pose, crtk.Pose, int] | None:
         """The newest poses in both frames that are of one time, and when they came: one after the other."""

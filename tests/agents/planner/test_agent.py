@@ -221,6 +221,8 @@ def test_a_goal_without_a_fresh_thread_in_a_known_unit_or_an_arm_that_reports_is
     assert refused(begun) == ("unknown_arm", "no arm called psm1 has reported; there is none; is its bridge running?")
     feed(begun, ROBOT_STATE, state(late_ms=-round(begun.config.arm_age_ms + 100)), "psm1")
     assert refused(begun)[0] == "arm_stale"
+    feed(begun, ROBOT_STATE, dataclasses.replace(state(), mode=RobotMode.MOVING, plan_id="p1"), "psm1")
+    assert refused(begun) == ("arm_moves", "psm1 carries out plan p1: let it end, or say hold, first")
 
 
 def followed(thread, step):

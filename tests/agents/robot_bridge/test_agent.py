@@ -255,7 +255,7 @@ def test_whoever_arms_may_ask_for_few_segments_and_gets_no_more_than_there_may_b
 def test_an_arm_at_rest_that_is_held_says_so_and_a_bridge_that_is_closed_lets_its_arm_rest() -> None:
     drive = Drive()
     assert drive.hold().outcome is Outcome.ACCEPTED
-    assert (drive.state().mode, drive.events) == (RobotMode.HOLDING, [])
+    assert (drive.state().mode, [event.kind for event in drive.events]) == (RobotMode.HOLDING, [ExecutionKind.HELD])
     drive = moving()
     drive.bridge.close()
     assert stands_still(drive)

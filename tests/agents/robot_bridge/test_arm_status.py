@@ -72,10 +72,12 @@ def test_a_plan_from_before_another_plans_motion_is_out_of_order_and_the_same_on
     drive.publish(plan("p2"), plan("p3", captured_ns=drive.now_ns))
     assert drive.arm("p3").code == "busy"
     drive.hold()
+    assert drive.refused()[0] == "hold_command", "it was asked before the hold"
     code, reason = drive.refused(plan_id="p2")
     assert (code, "before the motion of plan p1 began" in reason) == ("out_of_order", True)
     assert drive.arm().outcome is Outcome.ACCEPTED, "what was held goes on"
     drive.hold()
+    drive.tick()
     assert drive.arm("p3").outcome is Outcome.ACCEPTED
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents.robot_bridge.agent import RobotBridgeConfig
-from agents.robot_bridge.arm_status import Sight
+from agents.robot_bridge.arm_status import Challenges, Sight
 from agents.robot_bridge.limits import MotionLimits
 from schemas.messages import ChallengeEcho, ExecutionKind, FrameStamp
 from tests.agents.robot_bridge.drive import (
@@ -67,10 +67,13 @@ def stamp(captured_ns: int, *echoes: ChallengeEcho) -> FrameStamp:
         (stamp(EPOCH, ChallengeEcho("psm1", EPOCH - SECOND)), True, "is 1.0 s old"),
         (stamp(EPOCH, ChallengeEcho("psm2", EPOCH)), True, "echoes no challenge of psm1"),
         (stamp(EPOCH, ChallengeEcho("psm1", EPOCH + 1)), True, "before the bridge's clock was set"),
+        (stamp(EPOCH, ChallengeEcho("psm1", EPOCH - 1)), True, "before this bridge began"),
     ],
 )
 def test_what_is_not_known_of_a_frame_speaks_against_moving_a_real_arm(stamp, is_real, why):
-    sight = Sight("psm1", is_real)
+    challenges = Challenges()
+    challenges.issue(EPOCH)
+    sight = Sight("psm1", is_real, challenges)
     if stamp is not None:
         sight.hear(stamp)
     refusal = sight.refusal(EPOCH, 0.5)

@@ -116,7 +116,7 @@ def test_what_stops_is_never_a_no_op(tmp_path_factory, state, failure, stop):
     assert answer.outcome is Outcome.ACCEPTED
     assert rig.backend.told == ["hold"] + ([stop] if stop != "hold" else [])
     assert not rig.bridge.executes
-    assert [e.message.kind for e in events] == [ExecutionKind.HELD] * moved
+    assert [(e.message.kind, bool(e.message.plan_id)) for e in events] == [(ExecutionKind.HELD, moved)]
 
 
 @pytest.mark.parametrize("stop", STOPS)

@@ -138,11 +138,37 @@ def test_a_bridge_that_begins_anew_still_holds_what_moved_against_the_same_regis
     assert "cannot be read" in begun("two").judge(AT)
 
 
-def test_where_what_moved_cannot_be_kept_nothing_moves(tmp_path):
-    (tmp_path / "kept").write_text("a file where a folder should be")
-    watch = FramesWatch("PSM1", None, SinceRegistration(tmp_path / "kept" / "one.json"))
+def test_where_what_moved_cannot_be_kept_nothing_moves_until_it_is(tmp_path):
+    full = tmp_path / "kept"
+    full.write_text("a file where a folder should be")
+    watch = FramesWatch("PSM1", None, SinceRegistration(full / "one.json"))
     stands(watch, AT)
+    touched(watch, "suj_clutch")
     assert "cannot be written" in watch.judge(AT)
+    full.unlink()
+    assert "register the base anew" in watch.judge(AT)
+    again = FramesWatch("PSM1", None, SinceRegistration(full / "one.json"))
+    assert "register the base anew" in again.judge(AT), "it was written once there was room"
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_a_base_whose_set_up_joints_move_is_told_from_a_camera_that_does(fixed):
+    """Whichever frame the console tells the arm in: a fixed one, or that of the endoscope's tip."""
+    tip, further = exp_se3(np.array((0.01, 0.02, -0.1, 0.2, 0, 0))), exp_se3(np.array((0, 0, 0.01, 0, 0.05, 0)))
+    watch = FramesWatch("PSM1", HandEye(tip @ FLIP @ T_CAMERA_BASE, Reference.ECM_BASE))
+
+    def judged(tip, base, at_ns):
+        watch.hear_pose(TIP, crtk.pose_command(tip, at_ns), at_ns)
+        watch.hear_pose(MEASURED, crtk.pose_command(base if fixed else inverse(tip) @ base, at_ns), at_ns)
+        watch.hear_pose(LOCAL, crtk.pose_command(np.eye(4), at_ns), at_ns)
+        return watch.judge(at_ns)
+
+    base = exp_se3(np.array((0.1, 0.0, 0.2, 0, 0.3, 0)))
+    assert judged(tip, base, AT) == ""
+    assert "the camera (ECM) moved" in judged(tip @ further, base, AT + SETTLED_NS)
+    assert judged(tip @ further, base, AT + 3 * SETTLED_NS) == "", "the camera is followed"
+    moved = exp_se3(np.array((0.05, 0, 0, 0, 0, 0))) @ base
+    assert "the base, by its set-up joints, is" in judged(tip @ further, moved, AT + 4 * SETTLED_NS)
 
 
 def test_both_poses_of_one_time_are_compared_though_a_turn_falls_between_them():

@@ -214,9 +214,8 @@ def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_
         assert change(word, pressed=True).code == "round_trip", word
     assert "PAUSED" in change("RESUME").reason, "it is not paused"
     for word, state in (("PAUSE", "PAUSED"), ("RESUME", "ENABLED"), ("DISABLE", "DISABLED"), ("ENABLE", "ENABLED")):
-        told = len(room.events)
         assert change(word).outcome is Outcome.ACCEPTED
-        room.until(lambda told=told: len(room.events) > told)
+        room.until(lambda word=word: room.events[-1:] and room.events[-1].plan_id == f"state {word.lower()}")
         assert (room.events[-1].kind, arm.state) == (ExecutionKind.FINISHED, state)
     room.bridge.configure(replace(room.bridge.config, ratio=0.3))
     assert change("HOME").outcome is Outcome.ACCEPTED
@@ -259,12 +258,41 @@ def test_whoever_says_hold_has_a_console_that_homes_pause(room):
     assert (room.console._arm.state, room.console._arm.is_homed) == ("PAUSED", False)
 
 
+def test_a_pause_that_did_not_get_through_is_said_again_though_nothing_was_heard_yet_of_what_homes(room, monkeypatch):
+    room.ready()
+    told = {"challenge_ns": room.state.challenge_ns, "pressed": True}
+    assert room.command(CHANGE_STATE, ChangeState(room.header(), "psm1", StateWord.HOME, **told)).code == ""
+    with monkeypatch.context() as down:
+        down.setattr(Link, "say", lambda *_: False)
+        assert "told again in each turn" in room.command(HOLD, Hold(room.header(), "psm1")).reason
+    room.tick(200)
+    assert (room.console._arm.state, room.console._arm.is_homed) == ("PAUSED", False)
+
+
+@pytest.mark.parametrize("what", ["arm", "home"])
+def test_what_was_asked_before_a_hold_and_is_taken_up_after_it_moves_nothing(room, what):
+    room.ready()
+    room.publish(room.plan())
+    room.tick(4)
+    heard = {"challenge_ns": room.state.challenge_ns, "pressed": True}
+    room.tick(4)
+    assert room.command(HOLD, Hold(room.header(), "psm1")).code == ""
+    if what == "arm":
+        answer = room.command(ARM, Arm(room.header(), "psm1", room.plan().plan_id, **heard))
+    else:
+        answer = room.command(CHANGE_STATE, ChangeState(room.header(), "psm1", StateWord.HOME, **heard))
+    assert (answer.code, "somebody said hold since" in answer.reason) == ("hold_command", True)
+    room.tick(40)
+    assert not room.moves
+    assert not room.backend._readings.busy
+
+
 def test_a_hold_at_the_console_after_the_last_challenge_that_whoever_arms_had_heard_keeps_the_arm_where_it_is(room):
     room.ready()
     room.publish(room.plan())
     room.topics.tell_bridge("PSM1/hold", crtk.empty())
     answer = room.arm_again()
-    assert (answer.code, "somebody said hold at the console" in answer.reason) == ("hold_command", True)
+    assert (answer.code, "somebody said hold since" in answer.reason) == ("hold_command", True)
     room.tick(20)
     assert not room.moves
     assert room.try_to_arm().code == ""
@@ -285,7 +313,7 @@ def test_a_dry_run_checks_all_of_a_motion_and_sends_nothing(room):
     answer = room.try_to_arm()
     assert (answer.code, "passes every check" in answer.reason) == ("dry_run", True)
     room.backend.move(np.zeros(6), 0.0, "a")
-    room.backend.hold()
+    assert "nothing was sent" in room.command(HOLD, Hold(room.header(), "psm1")).reason
     assert room.backend.change_state(StateWord.HOME, room.now_ns) == "nothing is sent in a dry run"
     room.tick(10)
     verdict = room.verdict()
