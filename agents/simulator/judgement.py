@@ -40,6 +40,20 @@ GIVE_M = 3e-3
 """How far a thread on tissue gives way to a finger that pushes it, as contact physics has it (docs/simulator.md)."""
 
 
+class Lying(Protocol):
+    """A thread, or a strand of one, by dense samples along it."""
+
+    @property
+    def points(self) -> Float64[np.ndarray, "n 3"]:
+        """In the camera's frame."""
+        ...
+
+    @property
+    def radius_m(self) -> float:
+        """Of the thread."""
+        ...
+
+
 @dataclass(frozen=True)
 class Grip:
     """One arm's fingers and the thread, so far in one grasp.
@@ -67,7 +81,7 @@ def first_grip(T_camera_tool: Float64[np.ndarray, "4 4"], jaw_rad: float) -> Gri
     return Grip(jaw_rad, fingertip(T_camera_tool), jaw_rad)
 
 
-def followed(grip: Grip, T_camera_tool: Float64[np.ndarray, "4 4"], jaw_rad: float, field: Field) -> Grip:
+def followed(grip: Grip, T_camera_tool: Float64[np.ndarray, "4 4"], jaw_rad: float, field: Lying) -> Grip:
     """The grip at the next measured pose; it stays as it is once there is a verdict."""
     if grip.verdict is not None:
         return grip
@@ -85,7 +99,7 @@ def followed(grip: Grip, T_camera_tool: Float64[np.ndarray, "4 4"], jaw_rad: flo
     return replace(grip, sample=sample, captured=captured, verdict=Verdict.HELD if held else None)
 
 
-def touching_rad(from_pin_m: float, field: Field) -> float:
+def touching_rad(from_pin_m: float, field: Lying) -> float:
     """The opening at which the fingers hold a thread that far from their pin."""
     return max(contact_rad(from_pin_m, field.radius_m), CLOSED_RAD)
 

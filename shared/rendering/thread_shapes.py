@@ -188,10 +188,11 @@ def _laid_on(
     depth = meet_rays(surface, tangents[:, :1], tangents[:, 1:], 0.0)[:, 0]
     z = depth - path.lift_mm - radius_mm - CLEARANCE_MM
     points = np.column_stack((tangents * z[:, None], z)).astype(np.float64)
-    return _cleared(surface, _fitted(points, path.control_spacing_mm, radius_mm))
+    return _cleared(surface, fitted(points, path.control_spacing_mm, radius_mm))
 
 
-def _fitted(points: Float64[np.ndarray, "n 3"], spacing_mm: float, radius_mm: float) -> Thread:
+def fitted(points: Float64[np.ndarray, "n 3"], spacing_mm: float, radius_mm: float) -> Thread:
+    """The spline through points in order, with control points so far apart, about."""
     chords = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
     knots = clamped_uniform_knots(max(round(chords[-1] / spacing_mm), 6) + DEGREE, DEGREE)
     basis = basis_matrix(knots, DEGREE, chords / chords[-1])
