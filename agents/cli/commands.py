@@ -54,6 +54,9 @@ GROUPS: dict[str, dict[str, Command]] = {
         "evaluate": Command(
             "the paper's experiment in simulation", "evaluate.options:Evaluate", "evaluate.command:run"
         ),
+        "evaluate pulling": Command(
+            "threads pulled through tissue in simulation", "evaluate.options:EvaluatePulling", "evaluate.pulling:run"
+        ),
     },
     "images of your own": {
         "reconstruct": Command(

@@ -7,11 +7,10 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float64
 
-from agents.simulated_trials.protocol import Trial
+from agents.simulated_trials.protocol import Trial, Tried
 from schemas.messages import Status, StereoCalibration, StereoFrame, ThreadReconstruction
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, SURFACE, THREAD, Topic, key
 from shared.runtime.agent import Agent, Output, Received, outputs_in
-from shared.runtime.config import Settings
 
 FINE = 4001
 
@@ -45,12 +44,12 @@ def looked(
         following: a frame after it, of which nothing counts but the surface: perception makes none of its first one.
     """
     said = [Output(CALIBRATION, calibration), Output(FRAMES, frame)]
-    for output in _fed(perception, CALIBRATION, calibration) + _fed(perception, FRAMES, frame):
+    for output in fed(perception, CALIBRATION, calibration) + fed(perception, FRAMES, frame):
         said.append(output)
         if output.topic is OBSERVATIONS:
-            said += _fed(reconstruction, OBSERVATIONS, output.message)
+            said += fed(reconstruction, OBSERVATIONS, output.message)
     if following is not None:
-        said += [output for output in _fed(perception, FRAMES, following) if output.topic is SURFACE]
+        said += [output for output in fed(perception, FRAMES, following) if output.topic is SURFACE]
     # perception may tell of the surface after it has told of the thread
     said.sort(key=lambda output: output.topic is THREAD)
     return Look(tuple(said), said[-1].message)
@@ -77,7 +76,8 @@ def _within(s: Float64[np.ndarray, "n"], stretches: Iterable[Any]) -> Any:
     return inside
 
 
-def _fed(agent: Agent, topic: Topic, message: Any) -> list[Output]:
+def fed(agent: Agent, topic: Topic, message: Any) -> list[Output]:
+    """What an agent says when it hears a message."""
     received = Received(topic, key("evaluation", topic, "main"), 0, message)
     return outputs_in(agent.step(received))
 
@@ -85,7 +85,7 @@ def _fed(agent: Agent, topic: Topic, message: Any) -> list[Output]:
 Outcome = Literal["held", "failed", "declined"]
 
 
-class Came(Settings):
+class Came(Tried):
     """What came of a trial. Lengths in metres, times in seconds of the simulated world.
 
     Fields:

@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
@@ -87,6 +87,12 @@ class Trial(Settings):
     def name(self) -> str:
         """SCENARIO/THREAD/GOAL/POLICY/METHOD, as `--record` takes it."""
         return f"{self.laid.name}/{self.goal}/{self.policy}/{self.method}"
+
+
+class Tried(Settings):
+    """What came of a trial."""
+
+    trial: Any
 
 
 def threads_of(protocol: Protocol) -> list[Laid]:

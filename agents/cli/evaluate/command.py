@@ -4,7 +4,7 @@ import importlib.util
 import json
 from collections.abc import Generator, Iterable
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import cv2
 from rich.console import Console
@@ -13,13 +13,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from agents.cli.alone import alone
 from agents.cli.evaluate.options import Evaluate
 from agents.cli.evaluate.pictures import field_pictures, moments, strip
-from agents.cli.evaluate.trials import Table, WorkError, all_tried
+from agents.cli.evaluate.trials import Table, all_tried
+from agents.cli.evaluate.workers import WorkError
 from agents.cli.recordings.recompute import write_recording
 from agents.cli.whole_file import whole_file
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from agents.simulated_trials.journal import Journal
 from agents.simulated_trials.look import Came
-from agents.simulated_trials.protocol import Protocol, threads_of, trials_on
+from agents.simulated_trials.protocol import Protocol, Tried, threads_of, trials_on
 from agents.simulated_trials.report import document, report
 from agents.simulated_trials.results import results_of
 from agents.simulated_trials.table import overview
@@ -58,7 +59,8 @@ def _evaluated(options: Evaluate) -> int:
     try:
         if not options.report:
             todo = [(laid, trials) for laid, trials in work if trials]
-            for came in _shown(all_tried(journal.protocol, todo, options.jobs, options.output), total, total - left):
+            tried = all_tried(journal.protocol, todo, options.jobs, options.output)
+            for came in shown(tried, "grasping", total, total - left):
                 journal.note(came)
                 left -= 1
     except KeyboardInterrupt:
@@ -85,9 +87,9 @@ def _recorded(options: Evaluate, name: str) -> int:
     path.parent.mkdir(exist_ok=True)
     with whole_file(path) as unfinished:
         write_recording(unfinished, told.entries, (Note("run", {"rig": RIG}),))
-    shown = moments(table.view, told.entries)
-    if shown:
-        cv2.imwrite(str(path.with_suffix(".png")), strip(shown))
+    seen = moments(table.view, told.entries)
+    if seen:
+        cv2.imwrite(str(path.with_suffix(".png")), strip(seen))
     say(f"{told.came.outcome}: {told.came.sentence}; {path} is written, for suturegrasp view {path}")
     return EXIT_OK
 
@@ -158,12 +160,15 @@ def _is_there(module: str) -> bool:
     return importlib.util.find_spec(module) is not None
 
 
-def _shown(came: Iterable[Came], total: int, before: int) -> Generator[Came]:
+AnyCame = TypeVar("AnyCame", bound=Tried)
+
+
+def shown(results: Iterable[AnyCame], what: str, total: int, before: int) -> Generator[AnyCame]:
     """The same, with a bar on standard error where that is a terminal."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("grasping", total=total, completed=before)
-        for one in came:
-            progress.update(bar, advance=1, description=one.trial.laid.name)
+        bar = progress.add_task(what, total=total, completed=before)
+        for one in results:
+            progress.update(bar, advance=1, description=one.trial.name)
             yield one

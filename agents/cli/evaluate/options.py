@@ -61,3 +61,32 @@ class Evaluate:
     record: Annotated[str | None, tyro.conf.arg(metavar="TRIAL")] = None
     """Carry out this one trial again and record it, for `suturegrasp view`: SCENARIO/THREAD/GOAL/POLICY/METHOD, such
     as hard/chicken/1/7/robust/refined."""
+
+
+@dataclass(frozen=True)
+class EvaluatePulling:
+    """Pull threads through simulated tissue until their tails have asked lengths: from images to the end of the pull.
+
+    Drawn stitches in virtual time, with friction, stretch and knots. Ended at any time it goes on where it was when it
+    is called again with the same folder and options. What is judged: docs/evaluation.md. Exit status: 0 all tried, 2
+    not as asked, 3 something is left.
+    """
+
+    output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/pulling")
+    """Where journal and results go."""
+    trials: int = 100
+    """How many stitches are drawn, each for one pull."""
+    puller: str = "planner"
+    """Whose decisions are judged."""
+    tool_error: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.7
+    """Deviation of each axis of the tool tip, drawn anew for each trial."""
+    hand_eye: Annotated[tuple[float, float], tyro.conf.arg(metavar="MM DEG")] = (1.5, 1.0)
+    """The most that the registration of a trial is shifted and turned by."""
+    instrument: bool = False
+    """Images show the instrument, which hides thread about the jaws, as on a rig."""
+    seed: int = 1
+    """Of everything that is drawn."""
+    jobs: int = 1
+    """How many processes work at once."""
+    report: bool = False
+    """Only write the results anew, from the journal."""

@@ -18,13 +18,14 @@ from scipy.linalg import solveh_banded
 
 from shared.rendering.surface import Surface, depth_at_points
 
-ITERATIONS, DONE_MM, LONGEST_MM = 40, 1e-7, 2.0
+ITERATIONS, DONE_MM, LONGEST_MM = 40, 1e-5, 2.0
 """Of Newton's method: how many, what change ends it, and how far a node goes in one of them."""
 PINNED = 1e4
 """Stiffness that keeps a node in its place, in N/mm; a thread's own is 50 N/mm a segment."""
 SHORT, LONG = 0.4, 1.6
 """Beside a hole or a jaw, segments shorter or longer than this, in usual ones, are joined or divided."""
 SLOPE_OVER_MM = 0.5
+_EYE = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def rested(strand: Strand, law: Law, surface: Surface, anchors: tuple[Anchor, ..
         diagonal += viscous
         for anchor in anchors:
             force[anchor.node] += anchor.stiffness * (anchor.place - x[anchor.node])
-            diagonal[anchor.node] += anchor.stiffness * np.eye(3)
+            diagonal[anchor.node] += anchor.stiffness * _EYE
         step = solveh_banded(_banded(diagonal, next_to, beyond), force.ravel(), lower=True).reshape(-1, 3)
         longest = float(np.linalg.norm(step, axis=1).max())
         x = x + step * min(1.0, LONGEST_MM / max(longest, 1e-12))
@@ -181,7 +182,7 @@ def _elastic(x: Float64[np.ndarray, "n 3"], strand: Strand, law: Law) -> tuple[n
     along = u[:, :, None] * u[:, None, :]
     # a segment under pressure would turn aside without limit; its neighbours' bending keeps it
     aside = np.maximum(1.0 - rest / length, 0.0)[:, None, None]
-    block = k[:, None, None] * (along + aside * (np.eye(3) - along))
+    block = k[:, None, None] * (along + aside * (_EYE - along))
     diagonal[:-1] += block
     diagonal[1:] += block
     next_to -= block
@@ -193,10 +194,10 @@ def _elastic(x: Float64[np.ndarray, "n 3"], strand: Strand, law: Law) -> tuple[n
         stiff = 2.0 * law.bending / (a + b)
         for i in range(3):
             force[i : n - 2 + i] -= (stiff * weights[:, i])[:, None] * off
-            diagonal[i : n - 2 + i] += (stiff * weights[:, i] ** 2)[:, None, None] * np.eye(3)
+            diagonal[i : n - 2 + i] += (stiff * weights[:, i] ** 2)[:, None, None] * _EYE
         for i in range(2):
-            next_to[i : n - 2 + i] += (stiff * weights[:, i] * weights[:, i + 1])[:, None, None] * np.eye(3)
-        beyond += (stiff * weights[:, 0] * weights[:, 2])[:, None, None] * np.eye(3)
+            next_to[i : n - 2 + i] += (stiff * weights[:, i] * weights[:, i + 1])[:, None, None] * _EYE
+        beyond += (stiff * weights[:, 0] * weights[:, 2])[:, None, None] * _EYE
     return force, diagonal, next_to, beyond
 
 
@@ -219,8 +220,8 @@ def _viscosity(
     """Of the bath, and of friction on the surface, which at the speed of a pull is Coulomb's."""
     depth = np.maximum(strand.points[:, 2] + law.radius - depth_at_points(surface, strand.points[:, :2]), 0.0)
     sliding = law.friction * law.tissue * lumped * depth / law.pull
-    across = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-    return (law.bath * np.maximum(lumped, 1e-3))[:, None, None] * np.eye(3) + sliding[:, None, None] * across
+    across = _EYE - normals[:, :, None] * normals[:, None, :]
+    return (law.bath * np.maximum(lumped, 1e-3))[:, None, None] * _EYE + sliding[:, None, None] * across
 
 
 def _normals(surface: Surface, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:

@@ -38,6 +38,8 @@ ENOUGH_N, ROUNDS = 1e-3, 6
 """Thread that runs does so until tension is so near to friction, or for so many rounds in a step."""
 LEAST_MM = 0.05
 """Of a strand: what is shorter is gone."""
+QUIET_MM = 1e-5
+"""A strand that moves less in a step rests, until something happens to it."""
 
 
 @dataclass(frozen=True)
@@ -73,21 +75,32 @@ class Pulled:
 
 @dataclass(frozen=True)
 class _Side:
-    """One side of the bite: its strand, None once it has gone, and where its hole is at rest."""
+    """One side of the bite: its strand, None once it has gone, and where its hole is at rest.
+
+    Fields:
+        grip: the fingers about the strand, as for a grasp.
+        rests: nothing has happened to it since it came to rest.
+    """
 
     strand: Strand | None
     hole: Float64[np.ndarray, "3"]
     grip: Grip | None = None
+    rests: bool = False
 
 
 @dataclass(frozen=True)
 class _Hold:
-    """A jaw on a strand: at which of its nodes, where in the tool's frame, and the opening at which it lets go."""
+    """A jaw on a strand: at which of its nodes, where in the tool's frame, and the opening at which it lets go.
+
+    Fields:
+        moves: the tool does, or brings the thread into the middle of its fingers.
+    """
 
     side: str
     node: int
     place_tool: Float64[np.ndarray, "3"]
     let_go_rad: float
+    moves: bool = True
 
 
 @dataclass(frozen=True)
@@ -129,8 +142,8 @@ class PullWorld:
         went = float(np.linalg.norm(pose.T_camera_tool[:3, 3] - before.T_camera_tool[:3, 3]))
         steps = max(int(np.ceil(elapsed_s / STEP_S - 1e-9)), int(np.ceil(went / STEP_MM)), 1)
         for k in range(1, steps + 1):
-            self._tool = _between(before, pose, k / steps)
-            self._grasp(self._tool, elapsed_s / steps)
+            was, self._tool = self._tool, _between(before, pose, k / steps)
+            self._grasp(self._tool, elapsed_s / steps, was)
             self._step(elapsed_s / steps)
             half = 0.5 * max(self._tool.jaw_rad, 0.0)
             self._press_n = press_n(self._surface, self._tool.T_camera_tool, (half, half), self._material)
@@ -174,9 +187,14 @@ class PullWorld:
 
     def _rest(self, elapsed_s: float) -> None:
         for name, side in self._sides.items():
-            if side.strand is not None:
+            if side.strand is not None and not (side.rests and not self._is_led(name)):
                 strand = rested(side.strand, self.law, self._surface, self._anchors(name), elapsed_s)
-                self._sides[name] = replace(side, strand=strand)
+                moved = float(np.abs(strand.points - side.strand.points).max())
+                self._sides[name] = replace(side, strand=strand, rests=moved < QUIET_MM)
+
+    def _is_led(self, name: str) -> bool:
+        """Whether a jaw that holds the strand has come to another place."""
+        return self._hold is not None and self._hold.side == name and self._hold.moves
 
     def _anchors(self, name: str) -> tuple[Anchor, ...]:
         anchors = [Anchor(0, self._sides[name].hole, self._give)] if self._inside > 0.0 else []
@@ -257,7 +275,7 @@ class PullWorld:
     def _remeshed(self, name: str, strand: Strand) -> None:
         hold = self._hold if self._hold is not None and self._hold.side == name else None
         strand, node = meshed(strand, self.law, None if hold is None else hold.node)
-        self._sides[name] = replace(self._sides[name], strand=strand)
+        self._sides[name] = replace(self._sides[name], strand=strand, rests=False)
         if hold is not None:
             self._hold = replace(hold, node=node)
 
@@ -281,7 +299,7 @@ class PullWorld:
         self._slipped += float(runs)
         if (rest[k:] if towards < 0 else rest[:k]).sum() < 0.05:
             # its end has run through
-            self._hold = None
+            self._let_go()
         self._remeshed(hold.side, replace(strand, rest=rest))
         return True
 
@@ -317,18 +335,24 @@ class PullWorld:
         strand = None if self._hold is None else self._sides[self._hold.side].strand
         return None if self._hold is None or strand is None else float(strand.rest[: self._hold.node].sum())
 
-    def _grasp(self, tool: Pose, elapsed_s: float) -> None:
+    def _grasp(self, tool: Pose, elapsed_s: float, was: Pose | None) -> None:
         """Take a strand between closing fingers, keep it, or let it go."""
         if self._hold is None:
             self._close(tool)
         elif tool.jaw_rad > self._hold.let_go_rad:
-            self._hold = None
+            self._let_go()
         else:
             x, y, z = self._hold.place_tool
             middle = np.array((x, 0.0, np.hypot(y, z)))
             off = middle - self._hold.place_tool
             share = min(1.0, CENTRED_MM_PER_S * elapsed_s / max(float(np.linalg.norm(off)), 1e-9))
-            self._hold = replace(self._hold, place_tool=self._hold.place_tool + share * off)
+            stands = was is not None and np.array_equal(was.T_camera_tool, tool.T_camera_tool) and not off.any()
+            self._hold = replace(self._hold, place_tool=self._hold.place_tool + share * off, moves=not stands)
+
+    def _let_go(self) -> None:
+        assert self._hold is not None  # noqa: S101 - only what is held is let go
+        self._sides[self._hold.side] = replace(self._sides[self._hold.side], rests=False)
+        self._hold = None
 
     def _close(self, tool: Pose) -> None:
         T_camera_tool = tool.T_camera_tool.copy()
@@ -353,7 +377,7 @@ class PullWorld:
         strand, node = with_place(side.strand, float(samples.way_mm[sample]), self.law)
         place = apply(inverse(tool.T_camera_tool), strand.points[node][None])[0]
         lets_go = touching_rad(MM * float(np.hypot(*place[1:])), samples) + LET_GO_RAD
-        self._sides[name] = replace(side, strand=strand, grip=None)
+        self._sides[name] = replace(side, strand=strand, grip=None, rests=False)
         self._hold = _Hold(name, node, place, lets_go)
 
 
