@@ -24,7 +24,7 @@ from tests.agents.cli.conftest import refused
 from tests.agents.cli.pulling_stand_in import TruePuller, parked
 
 EXACT = PullProtocol(puller="true", seed=1, trials=20, tool_error_mm=0, hand_eye_mm=0, hand_eye_deg=0)
-NOTHING = Look((), None)
+NOTHING = Look((), None)  # pyright: ignore[reportArgumentType]
 
 
 def pulled_by_truth(number, protocol=EXACT, heedless=False):
@@ -137,7 +137,7 @@ def test_an_arm_goes_through_its_waypoints_no_faster_than_it_may():
     to = (Waypoint(transform(np.eye(3), np.array((0.02, 0.0, 0.0))), 0.0), Waypoint(np.eye(4), 0.5))
 
     class Once:
-        def seen(self, _thread, arm, _goal):
+        def seen(self, thread, arm, goal_m):
             return Said(None, None if arm.moves else Segment(to))
 
     driver = Stepwise(Once(), 0.01, start, limits)
