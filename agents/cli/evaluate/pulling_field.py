@@ -1,6 +1,5 @@
 """A drawn stitch for one trial of pulling: its physics, how it looks, and what perception and reconstruction see."""
 
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -143,4 +142,4 @@ class Eyes:
         # perception may tell of the surface after it has told of the thread
         said.sort(key=lambda output: output.topic is THREAD)
         fed(self._perception, THREAD, said[-1].message)
-        return Look(tuple(said), replace(said[-1].message))
+        return Look(tuple(said), said[-1].message)

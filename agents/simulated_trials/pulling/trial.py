@@ -1,7 +1,7 @@
 """One pull: images of the true field five times a second, whoever drives the arm, and the physics that follows it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -56,7 +56,7 @@ class _Notes:
     """What is noted while a trial lasts; `start` is the pose in which the arm was measured first."""
 
     frames: int = 0
-    told: list[tuple[Measured, float]] = None  # pyright: ignore[reportAssignmentType]
+    told: list[tuple[Measured, float]] = field(default_factory=list[tuple[Measured, float]])
     peak_n: float = 0.0
     jaw_n: float = 0.0
     start: Float64[np.ndarray, "4 4"] | None = None
@@ -65,7 +65,7 @@ class _Notes:
 
 def pulled(trial: PullTrial, protocol: PullProtocol, bench: Bench) -> PullCame:
     """Try one pull."""
-    notes, driver = _Notes(told=[]), bench.driver
+    notes, driver = _Notes(), bench.driver
     every, waiting = round(FRAME_S / STEP_S), None
     arm = driver.advance(0.0)
     truth = bench.move(arm, STEP_S)

@@ -5,9 +5,10 @@ Implicit Euler without inertia: each step finds the minimum of
     ½ Σ EA/ℓ (l − ℓ)² + Σ EI/(a + b) |D − κ₀ (a + b)/2|² + weight + tissue + anchors + ½ Σ c |x − x₀|² / Δt
 
 over the nodes x by Newton's method on a banded matrix; l are the lengths of the segments, ℓ those at rest, D the change
-of direction between two segments a and b, κ₀ the curvature as drawn, which turns with the thread. Without inertia an
-axial wave need not be followed, so a step may be a hundred times as long as MuJoCo's; and the lengths at rest may
-change, as they do where thread runs through a hole or a jaw. Millimetres, newtons, seconds.
+of direction between two segments a and b, κ₀ the curvature as drawn, which turns with the thread. A pull is so slow
+that inertia does not count: steps are 40 times as long as those of contact physics. The lengths at rest may change from
+step to step, as they do where thread runs through a hole or a jaw, and the thread stretches; the capsules of contact
+physics do neither. Millimetres, newtons, seconds.
 """
 
 from dataclasses import dataclass, replace
