@@ -2,9 +2,6 @@
 
 import json
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
-
-import numpy as np
 
 from agents.cli.alone import alone
 from agents.cli.evaluate.command import DOCUMENT, EXIT_LEFT, JOURNAL, PAGE, shown
@@ -14,42 +11,26 @@ from agents.cli.evaluate.trials import rig_for
 from agents.cli.evaluate.workers import WorkError, shared_out
 from agents.cli.whole_file import whole_file
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
-from agents.simulated_trials.pulling.driving import Driver
+from agents.simulated_trials.pulling.driving import Driver, Task
 from agents.simulated_trials.pulling.protocol import (
     PullCame,
     PullJournal,
     PullProtocol,
     PullTrial,
     asked_mm,
-    error_seed,
+    pointed_px,
     trials_of,
 )
 from agents.simulated_trials.pulling.results import document, overview
 from agents.simulated_trials.pulling.trial import Bench, pulled
 from agents.simulator.field import MM
+from shared.camera import project
 from shared.clock import processor_s
 from shared.rendering.render import SceneError
 from shared.runtime.config import ConfigError, parse_config
 from shared.terminal import complain, say, show
 
 METHOD = "refined"
-
-
-@dataclass(frozen=True)
-class Task:
-    """What a driver is asked for, and is told of the errors that it will have.
-
-    Fields:
-        goal_m: how long the tail is to be.
-        T_camera_base: where the arm stands, as registered.
-        tool_error_m, hand_eye_m: deviation of each axis of the tool tip, and the most of the registration's shift.
-    """
-
-    goal_m: float
-    T_camera_base: np.ndarray
-    tool_error_m: float
-    hand_eye_m: float
-    seed: int
 
 
 DRIVERS: dict[str, Callable[[Task], Driver]] = {}
@@ -132,14 +113,16 @@ def tried_in(protocol: PullProtocol, trial: PullTrial) -> Generator[PullCame]:
 
 def bench_of(protocol: PullProtocol, trial: PullTrial, field: PullField) -> Bench:
     """A trial's field, eyes and driver."""
-    eyes = Eyes(rig_for(METHOD))
-    goal_mm = asked_mm(protocol, trial, field.world.state.tail_mm)
+    state = field.world.state
+    goal_mm = asked_mm(protocol, trial, state.tail_mm)
+    exit_px = pointed_px(protocol, trial, project(field.camera, state.tail[:1])[0][0])
     errors = MM * protocol.tool_error_mm, MM * protocol.hand_eye_mm
-    task = Task(MM * goal_mm, field.T_camera_base, *errors, error_seed(protocol, trial))
+    driver = DRIVERS[protocol.puller](Task(MM * goal_mm, exit_px, field.T_camera_base, *errors))
+    eyes = Eyes(rig_for(METHOD), driver.began_ns)
     return Bench(
         move=field.move,
         look=lambda arm, at_s: eyes.look(field.images(arm), at_s),
-        driver=DRIVERS[protocol.puller](task),
+        driver=driver,
         asked_mm=goal_mm,
         knot_mm=field.stitch.knot_mm,
     )

@@ -77,6 +77,24 @@ class Said:
     then: Segment | Stop | None = None
 
 
+@dataclass(frozen=True)
+class Task:
+    """What a driver is asked for, and told.
+
+    Fields:
+        goal_m: how long the tail is to be.
+        exit_px: a rectified left-image pixel (u, v) at the tail's hole, as somebody points at it.
+        T_camera_base: where the arm stands, as registered.
+        tool_error_m, hand_eye_m: deviation of each axis of the tool tip, and the most of the registration's shift.
+    """
+
+    goal_m: float
+    exit_px: Float64[np.ndarray, "2"]
+    T_camera_base: Float64[np.ndarray, "4 4"]
+    tool_error_m: float
+    hand_eye_m: float
+
+
 class Puller(Protocol):
     """Decides on a pull, frame by frame."""
 
@@ -87,6 +105,11 @@ class Puller(Protocol):
 
 class Driver(Protocol):
     """Moves an arm until the pull is over."""
+
+    @property
+    def began_ns(self) -> int:
+        """When the trial began, by the clock that frames are to be stamped with."""
+        ...
 
     def advance(self, elapsed_s: float) -> ArmState:
         """Let so much time pass; the arm as measured then."""
@@ -104,6 +127,8 @@ class Driver(Protocol):
 
 class Stepwise:
     """A puller with an arm that goes from waypoint to waypoint, at its greatest speed, evenly."""
+
+    began_ns = 0
 
     def __init__(self, puller: Puller, goal_m: float, arm: ArmState, limits: SpeedLimits) -> None:
         self._puller, self._goal_m, self._limits = puller, goal_m, limits

@@ -3,6 +3,7 @@
 import zlib
 
 import numpy as np
+from jaxtyping import Float64
 from pydantic import Field
 
 from agents.simulated_trials.journal import JournalOf
@@ -12,6 +13,8 @@ from shared.runtime.config import Settings
 ASKED_MM = (10.0, 25.0)
 """How long the tail is to be; it is at least SHORTER_MM longer before."""
 SHORTER_MM = 10.0
+POINTED_PX = 3.0
+"""How well somebody points at the tail's hole: deviation of either coordinate (assumed)."""
 WITHIN_MM = 2.0
 """A tail that differs from what was asked by no more has its length."""
 
@@ -115,6 +118,11 @@ def asked_mm(protocol: PullProtocol, trial: PullTrial, tail_mm: float) -> float:
     """Which length the tail is to have, of one that is so long before."""
     rng = np.random.default_rng(_seed(protocol, trial, "asked"))
     return float(rng.uniform(ASKED_MM[0], min(ASKED_MM[1], tail_mm - SHORTER_MM)))
+
+
+def pointed_px(protocol: PullProtocol, trial: PullTrial, exit_px: Float64[np.ndarray, "2"]) -> Float64[np.ndarray, "2"]:
+    """Where somebody points who means the tail's hole."""
+    return exit_px + np.random.default_rng(_seed(protocol, trial, "pointed")).normal(0.0, POINTED_PX, 2)
 
 
 def _seed(protocol: PullProtocol, trial: PullTrial, what: str) -> int:

@@ -1,7 +1,7 @@
 """`suturegrasp evaluate pulling`: whole pulls by true curves, how they are judged, and its journal."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -11,13 +11,14 @@ from agents.cli.evaluate.pulling import bench_of
 from agents.cli.evaluate.pulling_field import PullField
 from agents.cli.evaluate.trials import speed_limits
 from agents.simulated_trials.look import Look
-from agents.simulated_trials.pulling.driving import ArmState, Measured, Said, Segment, Stepwise, Stop, Waypoint
+from agents.simulated_trials.pulling.driving import ArmState, Measured, Said, Segment, Stepwise, Stop, Task, Waypoint
 from agents.simulated_trials.pulling.protocol import PullCame, PullProtocol, PullTrial, asked_mm
 from agents.simulated_trials.pulling.results import overview, shares
 from agents.simulated_trials.pulling.trial import Bench, pulled
 from agents.simulator.field import MM
 from schemas.messages import Status, TrackStep
 from schemas.topics import THREAD
+from shared.camera import project
 from shared.rigid_transforms import transform
 from shared.splines import evaluate
 from tests.agents.cli.conftest import refused
@@ -30,11 +31,11 @@ NOTHING = Look((), None)  # pyright: ignore[reportArgumentType]
 def pulled_by_truth(number, protocol=EXACT, heedless=False):
     """A whole pull by a puller that knows the true strands, without images."""
     trial = PullTrial(number=number)
-    field = PullField(protocol, trial)
-    goal_mm = asked_mm(protocol, trial, field.world.state.tail_mm)
-    puller = TruePuller(field.world, heedless)
-    driver = Stepwise(puller, MM * goal_mm, parked(field), speed_limits())
-    return pulled(trial, protocol, Bench(field.move, lambda *_: NOTHING, driver, goal_mm, field.stitch.knot_mm))
+    drawn = PullField(protocol, trial)
+    goal_mm = asked_mm(protocol, trial, drawn.world.state.tail_mm)
+    puller = TruePuller(drawn.world, heedless)
+    driver = Stepwise(puller, MM * goal_mm, parked(drawn), speed_limits())
+    return pulled(trial, protocol, Bench(drawn.move, lambda *_: NOTHING, driver, goal_mm, drawn.stitch.knot_mm))
 
 
 @pytest.mark.slow
@@ -81,6 +82,7 @@ class Faked:
     told: Measured | None = None
     seen: int = 0
     at_s: float = 0.0
+    began_ns: int = 0
 
     def advance(self, elapsed_s):
         self.at_s += elapsed_s
@@ -153,8 +155,9 @@ def test_an_arm_goes_through_its_waypoints_no_faster_than_it_may():
 class SeesTwice:
     """A driver that notes what it is shown, and gives up."""
 
-    task: pulling.Task
-    looks: list[Look]
+    task: Task
+    began_ns: int = 0
+    looks: list[Look] = field(default_factory=list[Look])
 
     def advance(self, elapsed_s):
         return ArmState(transform(np.eye(3), np.array((0.0, 0.0, 0.05))), 0.0)
@@ -170,16 +173,18 @@ class SeesTwice:
 def test_a_driver_is_shown_what_reconstruction_makes_of_the_drawn_stitch():
     looks: list[Look] = []
     trial, protocol = PullTrial(number=4), EXACT.model_copy(update={"puller": "looking"})
-    field = PullField(protocol, trial)
+    drawn, tasks = PullField(protocol, trial), list[Task]()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(pulling.DRIVERS, "looking", lambda task: SeesTwice(task, looks))
-        came = pulled(trial, protocol, bench_of(protocol, trial, field))
+        patch.setitem(pulling.DRIVERS, "looking", lambda task: tasks.append(task) or SeesTwice(task, looks=looks))
+        came = pulled(trial, protocol, bench_of(protocol, trial, drawn))
     assert (came.outcome, came.frames) == ("declined", 2)
+    exit_px = project(drawn.camera, drawn.stitch.holes)[0][0]
+    assert 0.1 < np.linalg.norm(tasks[0].exit_px - exit_px) < 15.0 and tasks[0].goal_m == MM * came.asked
     for look in looks:
         thread = look.thread
         assert thread.status is Status.OK
         curve = evaluate(thread.knots, thread.control_points_camera, thread.degree, np.linspace(0.02, 0.98, 300)) / MM
-        true = np.concatenate((field.world.state.tail, field.world.state.standing))
+        true = np.concatenate((drawn.world.state.tail, drawn.world.state.standing))
         off = np.linalg.norm(curve[:, None] - true[None], axis=2).min(axis=1)
         # nodes are 2 mm apart, and between the holes there is no truth to be near to
         assert np.percentile(off, 85) < 1.5
@@ -188,7 +193,7 @@ def test_a_driver_is_shown_what_reconstruction_makes_of_the_drawn_stitch():
 
 
 def test_a_journal_is_taken_up_again_and_results_are_written(suturegrasp, tmp_path, monkeypatch):
-    monkeypatch.setitem(pulling.DRIVERS, "planner", lambda task: SeesTwice(task, [NOTHING]))
+    monkeypatch.setitem(pulling.DRIVERS, "planner", lambda task: SeesTwice(task, looks=[NOTHING]))
     to = ("evaluate", "pulling", "--output", tmp_path, "--trials", "2", "--seed", "3", "--instrument")
     assert suturegrasp(*to).status == 0
     lines = (tmp_path / "journal.jsonl").read_text().splitlines()
