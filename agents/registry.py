@@ -114,7 +114,7 @@ NEEDLE = Kind(
 PLANNER = Kind(
     "planner",
     "planner",
-    "plans grasps, and tells whether they hold",
+    "plans grasps and pulls, and tells what came of them",
     (
         *("reconstruction/thread", "perception/surface", "needle/pose"),
         *("robot_bridge/state", "planner/clocks", "robot_bridge/execution"),
@@ -127,7 +127,7 @@ ROBOT_BRIDGE = Kind(
     "checks plans, and moves an arm",
     (
         *("planner/plan", "operator/heartbeat", "perception/surface"),
-        *("camera/notice", "tool_tracker/correction"),
+        *("camera/notice", "tool_tracker/correction", "planner/tail"),
     ),
     Pace.KEEPS_TIME,
     per_arm=True,

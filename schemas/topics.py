@@ -29,12 +29,14 @@ from schemas.messages import (
     NeedleObservations,
     NeedlePose,
     Prompt,
+    PullGoal,
     ReplayClock,
     RobotState,
     SetParameter,
     SimulatorState,
     StereoCalibration,
     StereoFrame,
+    Tail,
     ThreadObservations,
     ThreadReconstruction,
     TissueSurface,
@@ -211,6 +213,7 @@ NEEDLE = Topic(
     steady=False,
 )
 GOAL = Topic("operator", "goal", GraspGoal, Delivery.COMMAND, receiver="planner")
+PULL_GOAL = Topic("operator", "pull", PullGoal, Delivery.COMMAND, receiver="planner")
 ARM = Topic("operator", "arm", Arm, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
 HOLD = Topic("operator", "hold", Hold, Delivery.COMMAND, receiver="robot_bridge", per_arm=True, good_when_late=True)
 CHANGE_STATE = Topic("operator", "state", ChangeState, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
@@ -228,6 +231,17 @@ HEARTBEAT = Topic(
 )
 PLAN = Topic("planner", "plan", GraspPlan, Delivery.EVENT, made_from=THREAD)
 CHECK = Topic("planner", "check", GraspCheck, Delivery.EVENT)
+TAIL = Topic(
+    "planner",
+    "tail",
+    Tail,
+    Delivery.LATEST,
+    rate_hz=30,
+    maximum_age_ms=1000,
+    never_later=True,
+    made_from=THREAD,
+    steady=False,
+)
 CLOCKS = Topic("planner", "clocks", HostClocks, Delivery.STATE)
 ROBOT_STATE = Topic(
     "robot_bridge",
@@ -264,6 +278,7 @@ TOPICS = (
     THREAD,
     NEEDLE,
     GOAL,
+    PULL_GOAL,
     ARM,
     HOLD,
     CHANGE_STATE,
@@ -271,6 +286,7 @@ TOPICS = (
     HEARTBEAT,
     PLAN,
     CHECK,
+    TAIL,
     CLOCKS,
     ROBOT_STATE,
     EXECUTION,

@@ -108,6 +108,11 @@ GROUPS: dict[str, dict[str, Command]] = {
     "a grasp": {
         "page": Command("the operator's page: see, click, arm, hold", "page.options:Page", "page.command:run"),
         "goal": _on_rig("ask for a grasp: where along the thread", "live.options:Goal", "live.command:goal"),
+        "pull": _on_rig(
+            "pull thread through tissue until its tail is short",
+            "live.options:PullThread",
+            "live.pull:pull",
+        ),
         "arm": _on_rig("arm a plan, and stand by it", "live.options:ArmPlan", "live.command:arm"),
         "hold": _on_rig("have an arm stop where it is, disarmed", "live.options:HoldArm", "live.command:hold_arm"),
         "state": _on_rig(

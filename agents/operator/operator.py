@@ -24,10 +24,24 @@ from schemas.messages import (
     Outcome,
     Policy,
     Prompt,
+    PullBounds,
+    PullGoal,
     RobotState,
     StateWord,
 )
-from schemas.topics import ARM, CHANGE_STATE, EXECUTION, GOAL, HEARTBEAT, HOLD, PLAN, PROMPT, ROBOT_STATE, Topic
+from schemas.topics import (
+    ARM,
+    CHANGE_STATE,
+    EXECUTION,
+    GOAL,
+    HEARTBEAT,
+    HOLD,
+    PLAN,
+    PROMPT,
+    PULL_GOAL,
+    ROBOT_STATE,
+    Topic,
+)
 from shared.clock import monotonic_s
 from shared.runtime.commands import new_header
 from shared.runtime.connection import Connection
@@ -102,8 +116,21 @@ def ask_for_grasp(
 ) -> tuple[CommandAnswer, GraspPlan | None]:
     """Send a goal; its answer and, where it was accepted, the plan or rejection that followed (None: none came)."""
     goal = GraspGoal(new_header(SENDER), arm, policy, s, pixel, point_camera, attempts, from_swage_m)
+    return _planned(connection, GOAL, goal)
+
+
+def ask_for_pull(
+    connection: Connection, arm: str, tail_m: float | None, exit_pixel: Float64[np.ndarray, "2"] | None = None
+) -> tuple[CommandAnswer, GraspPlan | None]:
+    """The same of a pull until the tail is so long; without a length, of jaws that let go where they are."""
+    return _planned(connection, PULL_GOAL, PullGoal(new_header(SENDER), arm, tail_m, exit_pixel))
+
+
+def _planned(
+    connection: Connection, topic: Topic, goal: GraspGoal | PullGoal
+) -> tuple[CommandAnswer, GraspPlan | None]:
     with events_of(connection, PLAN) as plans:
-        answer = connection.command(GOAL, goal)
+        answer = connection.command(topic, goal)
         if answer.outcome is not Outcome.ACCEPTED:
             return answer, None
         deadline_s = monotonic_s() + PLAN_WAIT_S
@@ -182,8 +209,11 @@ def arm_and_stand_by(
     plan_id: str,
     stopped: threading.Event,
     told: Callable[[ExecutionEvent], None],
+    pull: PullBounds | None = None,
 ) -> Stood:
     """Arm a plan and stand by it until it ends, the arm falls silent, or `stopped` is set, which disarms.
+
+    `pull` says within which bounds a plan that pulls thread is armed, with all of its segments.
 
     A process that answers by itself proves nobody's presence: a real arm needs its console's pedal pressed beside it.
     """
@@ -208,7 +238,7 @@ def arm_and_stand_by(
         connection.listening((ROBOT_STATE,), bridge.take),
         connection.repeating(HEARTBEAT, arm, HEARTBEAT_HZ, beat),
     ):
-        answer = _armed(connection, arm, plan_id, arming_id, bridge)
+        answer = _armed(connection, arm, plan_id, arming_id, bridge, pull)
         if answer.outcome is not Outcome.ACCEPTED:
             return stood()
         while not stopped.is_set():
@@ -223,14 +253,21 @@ def arm_and_stand_by(
     return stood(left="disarmed: the heartbeat has ended, and the arm holds")
 
 
-def _armed(connection: Connection, arm: str, plan_id: str, arming_id: list[str], bridge: _Told) -> CommandAnswer:
+def _armed(
+    connection: Connection,
+    arm: str,
+    plan_id: str,
+    arming_id: list[str],
+    bridge: _Told,
+    pull: PullBounds | None,
+) -> CommandAnswer:
     """The answer to arming, whose id is noted; a plan that its bridge does not know may still be on its way there."""
     bridge.first(CHALLENGED_S)
     deadline_s, turn = monotonic_s() + PLAN_ARRIVES_S, threading.Event()
     while True:
         header, state = new_header(SENDER), bridge.state()
         challenge_ns = 0 if state is None else state.challenge_ns
-        message = Arm(header, arm, plan_id, challenge_ns, pressed=False, segments=SEGMENTS)
+        message = Arm(header, arm, plan_id, challenge_ns, pressed=False, segments=SEGMENTS, pull=pull)
         answer = connection.command(ARM, message, arm)
         bridge.pass_over()
         arming_id[0] = header.id

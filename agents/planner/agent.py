@@ -11,10 +11,13 @@ from agents.planner.config import PlannerConfig
 from agents.planner.learning import Attempt, next_attempt, same_attempt
 from agents.planner.needle import NeedleAround, needle_around
 from agents.planner.plan import plan_grasp
+from agents.planner.pulling.measuring import tail_of
+from agents.planner.pulling.segments import begin, go_on
+from agents.planner.pulling.way import Around, tool_places
 from agents.planner.refusal import RefusedGoalError, clock_unknown, planned_from, surface_unusable
 from agents.planner.tissue import tissue_of
 from agents.planner.tissue_clearance import SeenTissue
-from agents.planner.tools import tool_cells
+from agents.planner.tools import tool_axis, tool_cells
 from agents.planner.watch import Watch, check_of, goal_again
 from schemas.messages import (
     Checked,
@@ -24,11 +27,25 @@ from schemas.messages import (
     HostClocks,
     NeedlePose,
     Outcome,
+    PullGoal,
     RobotState,
     ThreadReconstruction,
     TissueSurface,
 )
-from schemas.topics import CHECK, CLOCKS, EXECUTION, GOAL, NEEDLE, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
+from schemas.topics import (
+    CHECK,
+    CLOCKS,
+    EXECUTION,
+    GOAL,
+    NEEDLE,
+    PLAN,
+    PULL_GOAL,
+    ROBOT_STATE,
+    SURFACE,
+    TAIL,
+    THREAD,
+    Topic,
+)
 from shared.kinematics import psm
 from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import compose, inverse
@@ -63,9 +80,9 @@ class Planner(Agent):
         Input(CLOCKS, only_newest_counts=True),
         Input(EXECUTION, instance="*"),
     )
-    outputs = (PLAN, CHECK)
+    outputs = (PLAN, CHECK, TAIL)
     goes_on_from = PLAN
-    commands = (GOAL,)
+    commands = (GOAL, PULL_GOAL)
     watches_clocks = ("camera",)
 
     def __init__(
@@ -118,22 +135,32 @@ class Planner(Agent):
         else:
             self._arms[arrived.message.arm] = arrived.message
 
-    def _answer(self, goal: GraspGoal, now_ns: int) -> Iterable[Output | CommandAnswer]:
+    def _answer(self, goal: GraspGoal | PullGoal, now_ns: int) -> Iterable[Output | CommandAnswer]:
         try:
             thread, arm = planned_from(goal, self._thread, self._arms, now_ns, self.config, self._clocks)
         except RefusedGoalError as error:
             return (CommandAnswer(goal.header.id, Outcome.REFUSED, error.code, str(error)),)
         tissue, needle = self._seen_tissue(thread, now_ns), needle_around(self._needle, thread, now_ns)
-        plan = plan_grasp(goal, thread, self._view(arm), self.config, tissue, needle=needle)
+        if isinstance(goal, PullGoal):
+            around = Around(tissue, needle, self._other_tools(arm))
+            plan = begin(goal, thread, self._view(arm), self.config, around)
+        else:
+            plan = plan_grasp(goal, thread, self._view(arm), self.config, tissue, needle=needle)
         plan = replace(plan, maximum_frame_age_s=arm.maximum_frame_age_s)
         self._watch.planned(plan)
         unknown = "; ".join(filter(None, (clock_unknown(self._clocks), self._reach_unknown(arm))))
         return CommandAnswer(goal.header.id, Outcome.ACCEPTED, "", unknown), Output(PLAN, plan)
 
     def _check(self, thread: ThreadReconstruction) -> Iterable[Output]:
-        """Of each grasp that ended before the thread was seen, whether it holds it; of each segment, how to go on."""
+        """Of each grasp that ended before the thread was seen, whether it holds it; of each segment, how to go on; of
+        thread that is pulled, how long its tail is.
+        """
+        yield from self._tails(thread)
         for plan in self._watch.resting(thread):
-            if (state := self._arms.get(plan.arm)) is not None and plan.goal is not None:
+            state = self._arms.get(plan.arm)
+            if state is not None and plan.pull is not None and plan.pull.tail_m is not None:
+                yield from self._pull_on(plan, thread, state)
+            elif state is not None and plan.goal is not None:
                 self._watch.goes_on(plan)
                 yield Output(PLAN, self._on(plan, thread, state))
         for ended in self._watch.due(thread, self.config):
@@ -146,6 +173,31 @@ class Planner(Agent):
             yield Output(CHECK, check)
             if check.next_plan_id and state is not None:
                 yield Output(PLAN, self._again(ended.plan, check.verdict, thread, state))
+
+    def _tails(self, thread: ThreadReconstruction) -> Iterable[Output]:
+        seen_ns = max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns)
+        for plan, reached in self._watch.pulls:
+            state = self._arms.get(plan.arm)
+            if state is not None and plan.pull is not None and plan.pull.tail_m is not None:
+                T_camera_tool = compose(state.T_camera_base, state.T_base_tool)
+                needle = needle_around(self._needle, thread, seen_ns)
+                yield Output(TAIL, tail_of(plan, reached, thread, T_camera_tool, self.config, needle))
+
+    def _pull_on(self, plan: GraspPlan, thread: ThreadReconstruction, state: RobotState) -> Iterable[Output]:
+        """The next segment of a pull; none from a thread that does not tell how to go on, and the bridge waits."""
+        seen_ns = max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns)
+        needle = needle_around(self._needle, thread, seen_ns)
+        around = Around(self._seen_tissue(thread, seen_ns), needle, self._other_tools(state))
+        following = go_on(plan, thread, self._view(state), self.config, around)
+        if following is not None:
+            following = replace(following, maximum_frame_age_s=state.maximum_frame_age_s)
+            self._watch.goes_on(plan)
+            self._watch.planned(following)
+            yield Output(PLAN, following)
+
+    def _other_tools(self, state: RobotState) -> tuple[Float64[np.ndarray, "k 3"], ...]:
+        """Where the tools of the other arms are, in the camera frame."""
+        return tuple(tool_places(tool_axis(other)) for name, other in self._arms.items() if name != state.arm)
 
     def _on(self, plan: GraspPlan, thread: ThreadReconstruction, state: RobotState) -> GraspPlan:
         """The plan's next segment, from what is seen now."""

@@ -51,6 +51,9 @@ class PlannerConfig:
         sure: how likely a grasp must be held, or missed, for a check to say so.
         check_after_ms, check_within_ms: after the end of a grasp, how old frames must be at least to be taken of what
             lies still again, clocks of other hosts included, and until when a check is waited for.
+        pull_segment_m: how much thread may run through tissue in one segment of a pull, planned from one image.
+        pull_reach_m: how far from the entry jaws pull before they grasp anew.
+        least_tail_m: the free end comes no nearer to the tissue, along the thread, than jaws need to take it again.
         arm_age_ms: how old the state of an arm may be: as long as five states of one that rests take. A plan needs it
             for the place of the base alone, which seldom moves, so this is more than the age that the bridge allows.
     """
@@ -96,6 +99,9 @@ class PlannerConfig:
     sure: float = 0.99
     check_after_ms: float = 150.0
     check_within_ms: float = 2000.0
+    pull_segment_m: float = 0.005
+    pull_reach_m: float = 0.05
+    least_tail_m: float = 0.005
     arm_age_ms: float = 5e3 / (ROBOT_STATE.resting_hz or 10.0)
 
     def __post_init__(self) -> None:
@@ -115,6 +121,7 @@ class PlannerConfig:
         require(0 <= self.check_after_ms <= self.check_within_ms, "a check ends after it begins")
         require(min(self.aside_m, self.aside_clear_m) >= 0, "aside_m and aside_clear_m must not be negative")
         require(0 <= self.least_dexterity < 1, f"least_dexterity must lie in [0, 1), not {self.least_dexterity}")
+        require(0 < self.pull_segment_m <= self.pull_reach_m, "0 < pull_segment_m <= pull_reach_m must hold")
         require(self.attempts >= 1, f"attempts must be at least 1, not {self.attempts}")
         require(0 < self.base_clear_deg <= self.clear_deg < 90, "0 < base_clear_deg <= clear_deg < 90 must hold")
 

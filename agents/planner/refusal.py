@@ -8,6 +8,7 @@ from schemas.messages import (
     GraspGoal,
     HostClock,
     HostClocks,
+    PullGoal,
     RobotMode,
     RobotState,
     ThreadReconstruction,
@@ -29,7 +30,7 @@ class RefusedGoalError(ValueError):
 
 
 def planned_from(
-    goal: GraspGoal,
+    goal: GraspGoal | PullGoal,
     thread: ThreadReconstruction | None,
     arms: Mapping[str, RobotState],
     now_ns: int,
@@ -50,7 +51,8 @@ def planned_from(
         # a wrong clock makes a thread look old, or yet to come, and that says less
         _check_clocks(clocks)
     fresh = _fresh_thread(thread, now_ns)
-    if goal.s is not None and fresh.track is not None and fresh.track.step is TrackStep.RESTARTED:
+    by_s = isinstance(goal, GraspGoal) and goal.s is not None
+    if by_s and fresh.track is not None and fresh.track.step is TrackStep.RESTARTED:
         raise RefusedGoalError(
             "thread_restarted",
             "the thread was just found anew, so s may name another place than before; look again, or name a pixel or a "

@@ -12,7 +12,16 @@ from jaxtyping import Float64
 from agents.planner.check import Seen, around, checked
 from agents.planner.config import PlannerConfig
 from agents.planner.learning import next_attempt, plan_id
-from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspCheck, GraspGoal, GraspPlan, Status
+from schemas.messages import (
+    Checked,
+    ExecutionEvent,
+    ExecutionKind,
+    GraspCheck,
+    GraspGoal,
+    GraspPlan,
+    Phase,
+    Status,
+)
 from schemas.messages import ThreadReconstruction as Thread
 
 REMEMBERED_PLANS, ENDS = 16, 2
@@ -34,18 +43,22 @@ class Watch:
         self._plans: dict[str, GraspPlan] = {}
         self._ended: dict[str, Ended] = {}
         self._resting: dict[str, Ended] = {}
+        self._pulls: dict[str, tuple[GraspPlan, Phase | None]] = {}
 
     def planned(self, plan: GraspPlan) -> None:
-        """Remember a plan, as one of the newest."""
+        """Remember a plan, as one of the newest; one that goes on with a pull is carried out at once."""
         if plan.status is Status.OK:
             self._plans[plan.plan_id] = plan
+            if plan.pull is not None and plan.continues:
+                self._pulls[plan.arm] = plan, None
             while len(self._plans) > REMEMBERED_PLANS:
                 del self._plans[next(iter(self._plans))]
 
     def told(self, event: ExecutionEvent) -> None:
         """Take in what an arm does: a plan that is finished is to be checked; another one begun makes that moot."""
         plan = self._plans.get(event.plan_id)
-        if event.kind is ExecutionKind.FINISHED and plan is not None:
+        self._pulls_on(plan, event)
+        if event.kind is ExecutionKind.FINISHED and plan is not None and plan.pull is None:
             self._ended[event.arm] = Ended(plan, event.at_ns)
         elif event.kind is ExecutionKind.ACCEPTED:
             self._ended.pop(event.arm, None)
@@ -54,10 +67,24 @@ class Watch:
         elif event.kind is not ExecutionKind.PHASE_REACHED:
             self._resting.pop(event.arm, None)
 
+    def _pulls_on(self, plan: GraspPlan | None, event: ExecutionEvent) -> None:
+        """Which pull an arm carries out, and which of its phases was reached last."""
+        if event.kind is ExecutionKind.ACCEPTED and plan is not None and plan.pull is not None and plan.pull.tail_m:
+            self._pulls[event.arm] = plan, None
+        elif event.kind is ExecutionKind.PHASE_REACHED and (pulls := self._pulls.get(event.arm)) is not None:
+            self._pulls[event.arm] = pulls[0], event.phase
+        elif event.kind in (ExecutionKind.FINISHED, ExecutionKind.HELD, ExecutionKind.ACCEPTED):
+            self._pulls.pop(event.arm, None)
+
     @property
     def waits(self) -> bool:
-        """Whether a grasp has ended that is not checked yet, or a segment that is not planned on from."""
-        return bool(self._ended or self._resting)
+        """Whether a grasp has ended that is not checked yet, a segment that is not planned on from, or thread runs."""
+        return bool(self._ended or self._resting or self._pulls)
+
+    @property
+    def pulls(self) -> list[tuple[GraspPlan, Phase | None]]:
+        """The plans by which arms pull, each with its phase that was reached last."""
+        return list(self._pulls.values())
 
     def resting(self, thread: Thread) -> list[GraspPlan]:
         """The plans of which a segment has ended before this thread was seen, by the clock of the arm's own bridge."""

@@ -29,6 +29,7 @@ from agents.robot_bridge.plans import (
     untimely,
     wrong_frame,
 )
+from agents.robot_bridge.pulling import Pulling, lets_go_only, pulling_of
 from agents.robot_bridge.state_changes import StateChanges
 from schemas.messages import (
     Arm,
@@ -43,6 +44,7 @@ from schemas.messages import (
     RobotState,
     StateWord,
     Status,
+    Tail,
     TissueSurface,
     ToolCorrection,
 )
@@ -57,6 +59,7 @@ from schemas.topics import (
     REPLAY_CLOCK,
     ROBOT_STATE,
     SURFACE,
+    TAIL,
     TOOL,
 )
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
@@ -96,7 +99,9 @@ class RobotBridge(Agent):
         frames = Input(FRAME_NOTICE, only_newest_counts=True, only_remembered=True)
         images = Input(TOOL, config.arm, only_newest_counts=True, only_remembered=True)
         corrections = () if config.correction is None else (images,)
-        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), tissue, frames, *corrections, *clock)
+        # each counts: of another arm's none must take the place of this one's
+        tails = Input(TAIL)
+        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), tissue, frames, tails, *corrections, *clock)
         self.config, self._backend = config, backend
         self._plans, self._states = Plans(config.arm), StateChanges(config.arm, backend)
         self._challenges = Challenges()
@@ -155,6 +160,9 @@ class RobotBridge(Agent):
                 return self._keep(plan)
             case Received(message=Heartbeat() as heartbeat):
                 self._beat(heartbeat)
+            case Received(message=Tail() as tail):
+                if self._execution is not None and self._execution.pull is not None and tail.arm == self.config.arm:
+                    self._execution.pull.hear(tail)
             case Received(message=FrameNotice() as notice):
                 self._sight.hear(notice.stamp)
             case Received(message=(TissueSurface() | ToolCorrection()) as told):
@@ -261,6 +269,7 @@ class RobotBridge(Agent):
         if self._backend.halted:
             return self.stop(Refusal(Code.HOLD_COMMAND, "a command to stop has come"), now_ns)
         why = self._stands.broken(now_ns) or self._blind(now_ns) or self._unattended(execution, arm)
+        why = why or self._pulls_on(execution, now_ns)
         if why or arm is None:
             return self.stop(why or UNMEASURED, now_ns)
         rested = execution.ended_ns is not None
@@ -274,7 +283,9 @@ class RobotBridge(Agent):
             return self.stop(following, now_ns)
         self._backend.move(following.joints, following.jaw_rad, execution.arming_id)
         of = execution.plan_id, execution.arming_id
-        self._plans.moves(execution.plan_id, now_ns, execution.touched)
+        if not rested:
+            # while it rests it touches nothing: the next segment is planned from a frame that is taken meanwhile
+            self._plans.moves(execution.plan_id, now_ns, execution.touched)
         kinds: list[tuple[ExecutionKind, Phase | None]]
         kinds = [(ExecutionKind.PHASE_REACHED, phase) for phase in following.reached]
         if following.finished:
@@ -285,6 +296,20 @@ class RobotBridge(Agent):
         elif execution.ended_ns is not None and not rested:
             kinds.append((ExecutionKind.SEGMENT_ENDED, None))
         return [event_of(self.config.arm, *of, kind, now_ns, phase=phase) for kind, phase in kinds]
+
+    def _pulls_on(self, execution: Execution, now_ns: int) -> Refusal | None:
+        """Why a pull must not go on; the planner's word to stop ends its segment."""
+        pull = execution.pull
+        if pull is None or not execution.moving:
+            return None
+        if why := pull.overdue(execution.plan, now_ns):
+            return why
+        if not execution.pulls:
+            return None
+        if pull.says_stop:
+            execution.end_early()
+        seen = self.config.arm, self._backend.is_real, now_ns, self.config.pull.tail_age_s
+        return pull.unwatched(execution.plans, *seen)
 
     def _blind(self, now_ns: int) -> Refusal | None:
         """Why nobody sees where the arm moves: the newest frame, or that of its plan, is too old."""
@@ -340,19 +365,25 @@ class RobotBridge(Agent):
         planned = self._plans.unusable(plan.plan_id) or self._next_segment(execution, plan, now_ns)
         if isinstance(planned, Refusal):
             return self.stop(planned, now_ns)
+        if execution.pull is not None:
+            execution.pull.follow(plan, planned, self._stands.setup)
         execution.follow(plan, planned)
         return []
 
     def _next_segment(self, execution: Execution, plan: GraspPlan, now_ns: int) -> Trajectory | Refusal:
         """The motion of the next segment, planned from a frame that was taken after the last one had ended."""
-        arm, ended_ns = self._stands.measured.state, execution.ended_ns or now_ns
-        if execution.segment >= execution.segments:
+        arm, ended_ns, pull = self._stands.measured.state, execution.ended_ns or now_ns, execution.pull
+        if pull is None and execution.segment >= execution.segments:
             most = f"it was armed for {execution.segments} segments at most"
             return Refusal(Code.SEGMENT, f"{most}, and more are needed: let it go faster, or arm again")
         if taken_ns(plan.stamp, self.config.arm) < ended_ns:
             return Refusal(Code.SEGMENT, "the next segment was planned from a frame of before the last one ended")
         if arm is None:
             return UNMEASURED
+        if pull is not None:
+            return self._next_pull(execution, pull, plan, arm, now_ns)
+        if plan.pull is not None:
+            return Refusal(Code.PULL_ORDER, f"plan {plan.plan_id} pulls thread, and the motion that it continues none")
         begun = dataclasses.replace(plan, waypoints=left_of(plan.waypoints, execution.approached))
         planned = self._planned(begun, arm, now_ns, execution.segments - execution.segment)
         if isinstance(planned, Refusal):
@@ -365,6 +396,18 @@ class RobotBridge(Agent):
                 Code.SEGMENT, f"{moved}, and {1e3 * self.config.segment_drift_m:g} mm are allowed: arm again"
             )
         return planned
+
+    def _next_pull(
+        self, execution: Execution, pull: Pulling, plan: GraspPlan, arm: ArmState, now_ns: int
+    ) -> Trajectory | Refusal:
+        """The motion of the next segment of a pull, within the bounds that the pull was armed for."""
+        if pull.holds:
+            # the jaws press on as they were told, and do not slacken to where they are measured
+            arm = dataclasses.replace(arm, jaw_rad=execution.jaw_sent_rad)
+        planned = self._planned(plan, arm, now_ns, 1, pull.holds)
+        if isinstance(planned, Refusal):
+            return planned
+        return pull.refusal(plan, planned, self._stands.setup, self.config.segment_drift_m) or planned
 
     def _answer_stop(self, command: Command) -> Replies:
         """Hold, and where the console is to pause or disable the arm, tell it so; whatever else is the matter."""
@@ -440,9 +483,17 @@ class RobotBridge(Agent):
         if why or arm is None or self._now_ns is None:
             return why or UNMEASURED
         message = dataclasses.replace(message, segments=min(max(1, message.segments), MOST_SEGMENTS))
-        planned = self._planned(plan, arm, command.now_ns, message.segments)
+        pull = pulling_of(plan, message, self.config.pull)
+        if isinstance(pull, Refusal):
+            return pull
+        segments, holds = (message.segments, False) if pull is None else (1, lets_go_only(plan))
+        planned = self._planned(plan, arm, command.now_ns, segments, holds)
         if isinstance(planned, Refusal):
             return planned
+        if pull is not None:
+            if why := pull.refusal(plan, planned, self._stands.setup, self.config.segment_drift_m):
+                return why
+            pull.follow(plan, planned, self._stands.setup)
         if self._backend.dry_run:
             would = f"the motion of {planned.duration_s:.1f} s passes every check, and nothing was sent"
             return Refusal(Code.DRY_RUN, f"{would}: this is a dry run (dry_run of the arm's configuration)")
@@ -450,9 +501,11 @@ class RobotBridge(Agent):
             return why
         patience = Patience(self.config.first_heartbeat_s, self.config.dead_man_s, self.config.maximum_motion_s)
         of_arm = self._backend.kinematics, self._stands.setup.jaw
-        return Execution(message, plan, planned, self._now_ns, patience, *of_arm)
+        return Execution(message, plan, planned, self._now_ns, patience, *of_arm, pull)
 
-    def _planned(self, plan: GraspPlan, arm: ArmState, now_ns: int, segments: int) -> Trajectory | Refusal:
+    def _planned(
+        self, plan: GraspPlan, arm: ArmState, now_ns: int, segments: int, holds: bool = False
+    ) -> Trajectory | Refusal:
         """The motion of a plan from where the arm is, or what speaks against plan, moment or motion."""
         if why := self._sight.refusal(now_ns, self.config.maximum_frame_age_s):
             return why
@@ -465,7 +518,7 @@ class RobotBridge(Agent):
             return refusal
         if self._backend.is_real and (refusal := self._stands.unknown(plan, setup, now_ns)):
             return refusal
-        return plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, setup, segments)
+        return plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, setup, segments, holds)
 
     def _nobody(self, message: Arm | ChangeState, arm: ArmState | None, now_ns: int) -> Refusal | None:
         """Why whoever asks does not stand by as this arm needs it; None where they do, as far as that can be told."""

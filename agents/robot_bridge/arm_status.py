@@ -27,7 +27,7 @@ from agents.robot_bridge.measuring import Measuring
 from agents.robot_bridge.motion import CONTACT
 from agents.robot_bridge.plans import Code, Refusal, taken_ns
 from agents.robot_bridge.tissue import measured_at
-from schemas.messages import FrameStamp, GraspPlan, TissueSurface, ToolCorrection
+from schemas.messages import FrameStamp, GraspPlan, Phase, TissueSurface, ToolCorrection
 
 DAY_NS = 86_400_000_000_000
 
@@ -120,7 +120,12 @@ class Standing:
         # in a chain the tool itself hides the place by now, and it was measured before
         contact = [one.T_camera_tool for one in plan.waypoints if one.phase in CONTACT and not plan.continues]
         surface = setup.surface
-        if config.tissue_needed and (surface is None or (contact and not measured_at(surface, np.stack(contact)))):
+        lets_go = all(one.phase is Phase.RELEASE for one in plan.waypoints)
+        if (
+            config.tissue_needed
+            and not lets_go
+            and (surface is None or (contact and not measured_at(surface, np.stack(contact))))
+        ):
             why = "where the tissue is was not measured at the thread, or too long ago"
             return Refusal(Code.UNKNOWN, f"{why}: see that perception sees it, or say has_no = ['tissue']")
         return None

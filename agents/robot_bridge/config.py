@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.correction import CorrectionLimits
-from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S, MotionLimits
+from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S, MotionLimits, PullLimits
 from schemas.checks import MessageError
 from schemas.messages.grasping import check_pose
 from schemas.topics import ROBOT_STATE
@@ -31,6 +31,7 @@ class RobotBridgeConfig:
         maximum_frame_age_s: a motion holds where the newest camera frame is older.
         maximum_motion_s: the longest that one checked segment may last, whatever the speed; a longer motion is a chain.
         segment_drift_m: how far the first place of contact may be from where it was armed, in a chain's next segment.
+        pull: the most that a pull may be armed for.
         registered_ns, registration_days: when the base was registered, and how long that holds; 0 where nobody says.
         tissue_needed: a real arm moves only where the tissue was measured.
         maximum_plan_age_s: since the frame that the plan was made from was captured; while the arm runs it can only be
@@ -51,6 +52,7 @@ class RobotBridgeConfig:
     maximum_frame_age_s: float = settable(0.5, Between(0.1))
     maximum_motion_s: float = 60.0
     segment_drift_m: float = 0.01
+    pull: PullLimits = field(default_factory=PullLimits)
     registered_ns: int = 0
     registration_days: float = 30.0
     tissue_needed: bool = True

@@ -9,6 +9,7 @@ from agents.robot_bridge.backend import ArmState
 from agents.robot_bridge.jaw import ARRIVED_RAD, UNCALIBRATED, Jaw, stays_open
 from agents.robot_bridge.motion import Trajectory, contact_joints, segment_end
 from agents.robot_bridge.plans import Code, Refusal
+from agents.robot_bridge.pulling import Pulling
 from schemas.messages import Arm, GraspPlan, Phase
 from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import angle_between
@@ -25,7 +26,7 @@ ARRIVAL_S = 1.0
 OPENS_S = 0.15
 """For how long a jaw that was closed may be measured open: as long as one takes that follows FOLLOWING_JAW_RAD behind,
 at its greatest speed (2 rad/s)."""
-CLOSED = (Phase.GRASP, Phase.RETREAT)
+CLOSED = (Phase.GRASP, Phase.RETREAT, Phase.PULL)
 """Phases that end with a closed jaw, where the plan has it closed."""
 NOT_FOLLOWING = Refusal(Code.NOT_FOLLOWING, "the arm does not follow its set points: it may be blocked, or pushed")
 KEPT_BACK = Refusal(Code.NO_GUARD, "the guard lets no set point of this arming pass: see what it says, then arm again")
@@ -66,6 +67,8 @@ class Execution:
         moving: a heartbeat has come, so that set points follow.
         let_through: set points reach the arm; until then it is sent where it is.
         segment: the how many-th of a chain, from 1 on, of at most `segments`.
+        pull: what is pulled, and within which bounds; None for a grasp.
+        jaw_sent_rad: the newest set point of the jaw.
         ended_ns: since when it rests at the end of a segment that is not the last; None while it does not.
     """
 
@@ -78,6 +81,7 @@ class Execution:
         patience: Patience,
         kinematics: ArmKinematics,
         jaw: Jaw = UNCALIBRATED,
+        pull: Pulling | None = None,
     ) -> None:
         """Arm a plan; nothing moves before the first heartbeat."""
         self.arming_id = armed.header.id
@@ -86,7 +90,7 @@ class Execution:
         self._patience, self._kinematics, self._jaw = patience, kinematics, jaw
         self._alive_ns, self._beat_at_ns = armed_ns, 0
         self._late_ns: int | None = None
-        self.plans = set[str]()
+        self.plans, self.pull, self.jaw_sent_rad = set[str](), pull, 0.0
         self.follow(plan, trajectory)
 
     def follow(self, plan: GraspPlan, trajectory: Trajectory) -> None:
@@ -94,7 +98,12 @@ class Execution:
         self.plan, self.plan_id, self._trajectory = plan, plan.plan_id, trajectory
         self.plans.add(plan.plan_id)
         self.segment += 1
-        self._last = segment_end(trajectory, self._patience.segment_s)
+        self._held = self.pull is not None and Phase.GRASP not in {stop.phase for stop in trajectory.stops}
+        self._goes_on = plan.pull is not None and not plan.pull.last
+        self._ends_early = False
+        # a segment of a pull is a plan of its own, and none is cut
+        whole = len(trajectory.stops) - 1
+        self._last = segment_end(trajectory, self._patience.segment_s) if self.pull is None else whole
         self.ended_ns: int | None = None
         self._began_ns: int | None = None
         self._progress_s: float | None = None
@@ -110,6 +119,16 @@ class Execution:
     def approached(self) -> bool:
         """Whether the segment that has ended was the last one before contact."""
         return self._trajectory.stops[self._last].phase is Phase.APPROACH
+
+    @property
+    def pulls(self) -> bool:
+        """Whether closed jaws pull thread now, or are about to."""
+        left = any(stop.phase is Phase.PULL for stop in self._trajectory.stops[self._stop :])
+        return left and self._closed and self.ended_ns is None
+
+    def end_early(self) -> None:
+        """Slow down to rest, and end the segment there."""
+        self._ends_early = True
 
     @property
     def contact(self) -> Float64[np.ndarray, "6"]:
@@ -160,9 +179,10 @@ class Execution:
             return why
         if self._waited_s > ARRIVAL_S or not self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD):
             return NOT_FOLLOWING
-        if self._stop > self._last and self._stop < len(self._trajectory.stops) and self.ended_ns is None:
+        self.jaw_sent_rad, over = jaw_rad, self._stop == len(self._trajectory.stops)
+        if self._stop > self._last and (not over or self._goes_on) and self.ended_ns is None:
             self.ended_ns = now_ns
-        return SetPoint(joints, jaw_rad, reached, finished=self._stop == len(self._trajectory.stops))
+        return SetPoint(joints, jaw_rad, reached, finished=over and not self._goes_on)
 
     def _why_lost(self, allowed_s: float, elapsed_s: float) -> Refusal:
         if elapsed_s > allowed_s:
@@ -187,10 +207,12 @@ class Execution:
             return ()
         elif self._progress_s < self._stop_s():
             step_s = min(elapsed_s, LONGEST_STEP_PERIODS * self._trajectory.period_s)
-            change = RATIO_PER_S * step_s
+            change, ratio = RATIO_PER_S * step_s, 0.0 if self._ends_early else ratio
             self._ratio += min(max(ratio - self._ratio, -change), change)
             step_s *= self._ratio
             self._progress_s = min(self._progress_s + step_s, self._stop_s())
+            if self._ratio <= 0.0:
+                self._stop = len(self._trajectory.stops)
         else:
             return self._reached(arm, elapsed_s, now_ns)
         return ()
@@ -229,7 +251,7 @@ class Execution:
     @property
     def _closed(self) -> bool:
         """Whether the grasp is over, so that the jaw was found closed."""
-        return any(stop.phase is Phase.GRASP for stop in self._trajectory.stops[: self._stop])
+        return self._held or any(stop.phase is Phase.GRASP for stop in self._trajectory.stops[: self._stop])
 
     @property
     def _closes_here(self) -> bool:

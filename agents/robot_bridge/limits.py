@@ -8,6 +8,7 @@ from jaxtyping import Float64
 
 from agents.robot_bridge.jaw import UNCALIBRATED, Jaw
 from schemas.messages import TissueSurface
+from schemas.topics import THREAD
 from shared.kinematics.arm import ArmKinematics
 
 MAXIMUM_PLAN_AGE_S = 30.0
@@ -30,6 +31,8 @@ class MotionLimits:
     Fields:
         rounding_s: over how long a bend is rounded, at full speed (path.py).
         contact_share: the share of full speed while there may be thread between the fingers.
+        pull_share: the same while closed jaws pull thread: 5 mm/s, so that what runs through tissue within the oldest
+            tail that may be pulled by (1 s) is no more than one segment (pull_segment_m of the planner).
         joint_share: the share of the joints' greatest speeds, so that an arm has some left to catch up with, and its
             guard some to spare.
         joint_speeds: those that count, where they are less than the arm's own; None for the arm's own.
@@ -51,6 +54,7 @@ class MotionLimits:
     jaw_jerk: float = 320.0
     rounding_s: float = 0.1
     contact_share: float = 0.4
+    pull_share: float = 0.1
     joint_share: float = 0.8
     joint_speeds: tuple[float, ...] | None = None
     dexterity: float = 0.3
@@ -74,6 +78,16 @@ class MotionLimits:
             rounding_s=self.rounding_s / share,
             joint_share=self.joint_share * share,
         )
+
+
+@dataclass(frozen=True)
+class PullLimits:
+    """The most that a pull may be armed for, and how old the newest tail may be while the jaws pull."""
+
+    length_m: float = 0.3
+    time_s: float = 600.0
+    radius_m: float = 0.1
+    tail_age_s: float = 1e-3 * (THREAD.maximum_age_ms or 1e3)
 
 
 @dataclass(frozen=True, eq=False)

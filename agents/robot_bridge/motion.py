@@ -24,7 +24,7 @@ from schemas.messages import Phase, Waypoint
 from shared.rigid_transforms import angle_between, inverse
 
 MAXIMUM_WAYPOINTS = 1000
-CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP)
+CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP, Phase.PULL)
 _LEAST_SLOWING = 1.02
 """Slowing a leg moves its samples, so that the factor that was too fast before may not quite do."""
 _ROUNDING = 1e-9
@@ -84,17 +84,18 @@ def plan_motion(
     jaw_rad: float,
     setup: Setup,
     segments: int = 1,
+    holds: bool = False,
 ) -> Trajectory | Refusal:
     """The motion from these joints through all waypoints, or why there is none.
 
     With more than one of `segments` it may last longer than one may, where it can be cut before contact
-    (`segment_end`) into so many that may.
+    (`segment_end`) into so many that may. Jaws that hold thread already are not turned round.
     """
     cap_s = setup.limits.maximum_duration_s
     if segments > 1:
         limits = dataclasses.replace(setup.limits, maximum_duration_s=cap_s * segments)
         setup = dataclasses.replace(setup, limits=limits)
-    planned = _either_way_round(waypoints, joints, jaw_rad, setup)
+    planned = _either_way_round(waypoints, joints, jaw_rad, setup, holds)
     if isinstance(planned, Refusal) or _segments(planned, cap_s) <= segments:
         return planned
     return Refusal(Code.TOO_LONG, f"the plan cannot be cut before contact into {segments} segments of {cap_s:g} s")
@@ -139,7 +140,7 @@ def _segments(trajectory: Trajectory, cap_s: float) -> float:
 
 
 def _either_way_round(
-    waypoints: Sequence[Waypoint], joints: Float64[np.ndarray, "6"], jaw_rad: float, setup: Setup
+    waypoints: Sequence[Waypoint], joints: Float64[np.ndarray, "6"], jaw_rad: float, setup: Setup, holds: bool
 ) -> Trajectory | Refusal:
     """The motion with the jaws as the waypoints have them, or half a turn about the fingers from that."""
     if not 0 < len(waypoints) <= MAXIMUM_WAYPOINTS:
@@ -152,12 +153,12 @@ def _either_way_round(
         return refusal
     turns = sorted((False, True), key=lambda turned: _first_turn(T_camera_tool, turned, joints, setup))
     refusals: dict[bool, Refusal] = {}
-    for turned in turns:
+    for turned in turns[:1] if holds else turns:
         planned = _plan(T_camera_tool * _HALF_TURN if turned else T_camera_tool, jaw, phases, joints, jaw_rad, setup)
         if isinstance(planned, Trajectory):
             return dataclasses.replace(planned, turned=turned)
         refusals[turned] = planned
-    return refusals[False]
+    return refusals.get(False) or refusals[True]
 
 
 def _first_turn(
@@ -226,7 +227,7 @@ def _sample(
     setup: Setup,
 ) -> tuple[Float64[np.ndarray, "n 6"], Float64[np.ndarray, "n"]] | Refusal | None:
     """Joints and jaw of every tick after the leg's start; None where it leads nowhere."""
-    share = setup.limits.contact_share if leg.phase in CONTACT else 1.0
+    share = _share(leg.phase, setup)
     path, slowing = smooth_path(leg.poses, setup.limits, share), 1.0
     if path is None:
         return None
@@ -241,6 +242,13 @@ def _sample(
         slowing *= max(excess, _LEAST_SLOWING)
     longest = setup.limits.maximum_duration_s
     return Refusal(Code.TOO_LONG, f"the plan would take longer than the {longest:g} s that a motion may last")
+
+
+def _share(phase: Phase, setup: Setup) -> float:
+    """The share of full speed in a phase."""
+    if phase is Phase.PULL:
+        return setup.limits.pull_share
+    return setup.limits.contact_share if phase in (*CONTACT, Phase.RELEASE) else 1.0
 
 
 def _in_tissue(poses: Poses, here: Float64[np.ndarray, "4 4"], leg: _Leg, setup: Setup) -> Refusal | None:

@@ -70,6 +70,8 @@ PHASES = {
     Phase.SLIDE: (60, 210, 255),
     Phase.GRASP: (235, 110, 255),
     Phase.RETREAT: (140, 145, 165),
+    Phase.PULL: (255, 120, 90),
+    Phase.RELEASE: (175, 180, 195),
 }
 """Parts of a grasp, in none of the colours of confidence."""
 

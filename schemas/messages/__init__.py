@@ -43,6 +43,15 @@ from schemas.messages.imaging import (
     StereoFrame,
 )
 from schemas.messages.needle import NeedleObservations, NeedlePose, NeedleView
+from schemas.messages.pulling import (
+    EndSight,
+    Pull,
+    PullBounds,
+    PullGrip,
+    PullStop,
+    StrandEnd,
+    TailLength,
+)
 from schemas.messages.rig import (
     AgentConfiguration,
     AgentFacts,
@@ -74,6 +83,7 @@ from schemas.messages.simulation import (
     Verdict,
 )
 from schemas.messages.surface import TissueSurface
+from schemas.messages.tail import PullGoal, Tail
 from schemas.messages.thread import (
     GIVEN_MASKS,
     SURE,
@@ -117,6 +127,7 @@ __all__ = [
     "CommandRecord",
     "Consumed",
     "Crossing",
+    "EndSight",
     "ExecutionEvent",
     "ExecutionKind",
     "FrameNotice",
@@ -147,6 +158,11 @@ __all__ = [
     "Policy",
     "Progress",
     "Prompt",
+    "Pull",
+    "PullBounds",
+    "PullGoal",
+    "PullGrip",
+    "PullStop",
     "RectifiedStereo",
     "ReliabilityRegions",
     "ReplayClock",
@@ -162,6 +178,9 @@ __all__ = [
     "Status",
     "StereoCalibration",
     "StereoFrame",
+    "StrandEnd",
+    "Tail",
+    "TailLength",
     "ThreadAround",
     "ThreadCandidate",
     "ThreadClearance",

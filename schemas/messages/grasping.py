@@ -10,6 +10,7 @@ from jaxtyping import Float64
 
 from schemas.checks import Number, UInt32, UInt64, check_message, require
 from schemas.messages.imaging import FrameStamp
+from schemas.messages.pulling import Pull, PullBounds
 from schemas.messages.running import CommandHeader, Consumed
 from schemas.messages.thread import Status
 
@@ -61,6 +62,7 @@ class Arm:
         challenge_ns: the newest challenge of the arm's bridge that its sender had heard; 0 from those who echo none.
         pressed: a person presses the page's button; False from a process that beats by itself.
         segments: into how many segments a long motion may be cut, each planned anew; 0 for one motion.
+        pull: within which bounds thread may be pulled, for a plan that pulls; None for all others.
     """
 
     header: CommandHeader
@@ -69,6 +71,7 @@ class Arm:
     challenge_ns: int = 0
     pressed: bool = False
     segments: UInt32 = 0
+    pull: PullBounds | None = None
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -154,13 +157,15 @@ class Heartbeat:
 
 
 class Phase(enum.Enum):
-    """The parts of a grasp, in their order."""
+    """The parts of a grasp, in their order; a pull has PULL and RELEASE, with jaws that open and go back, after it."""
 
     APPROACH = 1
     CAPTURE = 2
     SLIDE = 3
     GRASP = 4
     RETREAT = 5
+    PULL = 6
+    RELEASE = 7
 
 
 @dataclass(frozen=True)
@@ -287,6 +292,7 @@ class GraspPlan:
             measured to be; None for a first attempt.
         maximum_frame_age_s: its motion holds where the newest camera frame is older; 0 where the bridge does not tell.
         continues: the plan whose next segment this one is; empty for one that begins a motion.
+        pull: what it is a segment of, where it pulls thread or lets go of it; None for a grasp.
     """
 
     plan_id: str
@@ -315,12 +321,15 @@ class GraspPlan:
     offset_covariance: Float64[np.ndarray, "3 3"] | None = None
     maximum_frame_age_s: float = 0.0
     continues: str = ""
+    pull: Pull | None = None
 
     @property
     def in_words(self) -> str:
         """What it is to do, in a few words; why there is none stands in its reason."""
         if self.reason:
             return "none"
+        if self.pull is not None:
+            return self.pull.sentence
         capture, goal = (f"{s:.3f}" if s is not None else "?" for s in (self.s_capture, self.s_goal))
         slide_mm = self.slide_m * 1e3
         return f"capture {capture}, slide {slide_mm:.1f} mm, grasp {goal}, success {self.probability:.0%}"

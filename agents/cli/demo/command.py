@@ -10,7 +10,8 @@ import numpy as np
 
 from agents.cli.demo.report import report
 from agents.cli.live.attempts import Attempts, attempts_on
-from agents.cli.live.command import event_sentence, percent, plan_sentence
+from agents.cli.live.command import percent, plan_sentence
+from agents.cli.live.events import event_sentence
 from agents.cli.live.options import Demo
 from agents.cli.live.up import FIRST_CONTACT_S, start_all, write_config
 from agents.configuration.rig import PlannerSection, RigConfig, RouterSection, SimulatorSection, simulated_rig

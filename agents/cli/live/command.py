@@ -7,6 +7,7 @@ import threading
 import numpy as np
 
 from agents.cli.live.attempts import attempts_on
+from agents.cli.live.events import event_sentence
 from agents.cli.live.options import (
     ArmPlan,
     ChangeArmState,
@@ -14,6 +15,7 @@ from agents.cli.live.options import (
     HoldArm,
     PromptThread,
 )
+from agents.cli.live.pull import EXIT_REFUSED, stand_by_pull
 from agents.configuration.rig import RigConfig
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, change_state, events_of, hold, prompt
@@ -23,7 +25,6 @@ from shared.clock import monotonic_s
 from shared.runtime.connection import connected
 from shared.terminal import complain, say
 
-EXIT_REFUSED = 3
 LOOK_S, STATE_WITHIN_S = 0.2, 65.0
 POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
 
@@ -86,6 +87,9 @@ def arm(rig: RigConfig, options: ArmPlan) -> int:
         return complain("give the id of a plan, as goal prints it, and at least one attempt", EXIT_UNUSABLE)
     stopped, plan_id = threading.Event(), options.plan
     on_stop(stopped.set)
+    bounds = options.pull_mm, options.pull_seconds, options.pull_within_mm
+    if any(bound is not None for bound in bounds):
+        return stand_by_pull(rig, options, stopped)
     with connected(rig.session) as connection, attempts_on(connection) as attempts:
         for left in reversed(range(options.attempts)):
             stood = arm_and_stand_by(connection, options.arm, plan_id, stopped, lambda e: say(event_sentence(e)))
@@ -112,23 +116,6 @@ def _outcome(stood: Stood) -> int:
     if stood.end is None:
         return complain(stood.left, EXIT_REFUSED)
     return EXIT_OK if stood.end.kind is ExecutionKind.FINISHED else EXIT_REFUSED
-
-
-def event_sentence(event: ExecutionEvent) -> str:
-    """An event of an execution in a few words."""
-    match event.kind:
-        case ExecutionKind.ACCEPTED:
-            return f"{event.arm}: armed"
-        case ExecutionKind.PHASE_REACHED:
-            return f"{event.arm}: {event.phase.name.lower() if event.phase else 'next phase'}"
-        case ExecutionKind.SEGMENT_ENDED:
-            return f"{event.arm}: rests, until its next segment is planned from a fresh image"
-        case ExecutionKind.FINISHED:
-            return f"{event.arm}: finished"
-        case ExecutionKind.REFUSED:
-            return f"{event.arm}: refused ({event.code}): {event.reason}"
-        case ExecutionKind.HELD:
-            return f"{event.arm}: holds ({event.code}): {event.reason}"
 
 
 def hold_arm(rig: RigConfig, options: HoldArm) -> int:

@@ -133,6 +133,20 @@ class Goal(OnRig):
 
 
 @dataclass(frozen=True)
+class PullThread(OnRig):
+    """Ask for a pull: the standing strand away from the tissue until the tail is so long (docs/pulling.md)."""
+
+    tail_mm: OptionalNumber = None
+    """How long the tail is to be, from its free end to where it comes out of the tissue."""
+    exit_pixel: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="U V")] = None
+    """Column and row of the tail's exit, where it cannot be told which strand is the tail."""
+    release: bool = False
+    """Have the jaws let go of what they hold, and go back, instead."""
+    arm: str = "psm1"
+    """Which arm is to pull."""
+
+
+@dataclass(frozen=True)
 class ArmPlan(OnRig):
     """Arm a plan and stand by it: its heartbeat runs while this command does; Ctrl-C disarms.
 
@@ -146,6 +160,12 @@ class ArmPlan(OnRig):
     attempts: int = 1
     """How many attempts are armed: the next plan too where it is not held, as long as this command runs, and where the
     arm moves nothing real."""
+    pull_mm: OptionalNumber = None
+    """Of a pull: the most that closed jaws may travel in all its segments, as `pull` prints it."""
+    pull_seconds: OptionalNumber = None
+    """Of a pull: how long it may last."""
+    pull_within_mm: OptionalNumber = None
+    """Of a pull: how far closed jaws may be from where the strand goes into the tissue."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from agents.cli.demo.command import APART, FROM_END, goals_of
-from agents.cli.live.command import event_sentence
+from agents.cli.live.events import event_sentence
 from agents.cli.live.set import agent_and_rest, value_of
 from agents.diagnostics.status.health_watch import HealthWatch, health_table
 from agents.launch.session_folder import free_path, new_session_folder

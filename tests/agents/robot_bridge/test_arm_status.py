@@ -6,7 +6,7 @@ import pytest
 
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from schemas.messages import ExecutionKind, FrameStamp, Outcome, Phase, ReplayClock, RobotMode
-from schemas.topics import FRAME_NOTICE, HEARTBEAT, PLAN, REPLAY_CLOCK, SURFACE
+from schemas.topics import FRAME_NOTICE, HEARTBEAT, PLAN, REPLAY_CLOCK, SURFACE, TAIL
 from tests.agents.robot_bridge.drive import (
     EPOCH,
     SECOND,
@@ -187,7 +187,7 @@ def test_a_real_arm_holds_when_a_recording_is_replayed_and_is_armed_again_once_t
 def test_each_arm_hears_its_own_heartbeat_and_a_simulated_one_lives_in_the_time_of_a_recording():
     simulated, real = (RobotBridge(RobotBridgeConfig(arm="psm2"), arm()) for arm in (UnreliableArm, RealArm))
     heard = [(entry.topic, entry.instance) for entry in simulated.inputs]
-    assert heard == [(PLAN, "main"), (HEARTBEAT, "psm2"), (SURFACE, "main"), (FRAME_NOTICE, "main")]
+    assert heard == [(PLAN, "main"), (HEARTBEAT, "psm2"), (SURFACE, "main"), (FRAME_NOTICE, "main"), (TAIL, "main")]
     assert [entry.topic for entry in real.inputs][len(heard) :] == [REPLAY_CLOCK]
     assert (simulated.accepts_replayed_time, real.accepts_replayed_time) == (True, False)
 

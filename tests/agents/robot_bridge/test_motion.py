@@ -1,6 +1,7 @@
 """From a plan's waypoints to the joints of every tick: smooth, within all limits, or refused by name."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def motion(*waypoints: Waypoint, setup: Setup = SETUP, joints: np.ndarray = STAR
     return planned
 
 
-def refusal(*waypoints: Waypoint, setup: Setup = SETUP, joints: np.ndarray = START, **how: int) -> tuple[Code, str]:
+def refusal(*waypoints: Waypoint, setup: Setup = SETUP, joints: np.ndarray = START, **how: Any) -> tuple[Code, str]:
     refused = plan_motion(waypoints, joints, 0.0, setup, **how)
     assert isinstance(refused, Refusal)
     return refused.code, refused.sentence
@@ -93,7 +94,7 @@ def test_the_motion_begins_where_the_arm_is_passes_every_waypoint_and_rests_wher
         turned = np.linalg.norm(log_so3(target.T_camera_tool[:3, :3].T @ poses[:, :3, :3]), axis=1) < 0.02
         assert (near & turned & (np.abs(grasped.jaw_rad - target.jaw_rad) < 0.02)).any()
     last = {point.phase: point for point in grasp()}
-    assert [stop.phase for stop in grasped.stops if stop.phase] == list(Phase)
+    assert [stop.phase for stop in grasped.stops if stop.phase] == list(last)
     assert grasped.stops[-1].sample == len(grasped.joints) - 1
     steps = np.abs(np.diff(grasped.joints, axis=0)).max(axis=1)
     for sample, phase in ((stop.sample, stop.phase) for stop in grasped.stops):

@@ -1,0 +1,307 @@
+"""The segments of a pull: grasp and pull, pull on, let go to grasp anew, let go for good.
+
+A segment ends where the distance c of the jaws from the entry is
+
+    c = a⁻ + min(r, d),      a⁻ = a − 2 σ_a,      r = tail − L,
+
+a being the strand between entry and jaws as it was grasped, and d the most that may run in one segment: the strand is
+surely as long as a⁻, so no more than r comes through the tissue, and the tail is not made shorter than asked for by
+more than its own deviation. Once thread runs, c grows by min(r, d) from one segment to the next. A loose strand is
+taken up by no more than 2 d at once. What the next segment goes on from lies in the plan (`Pull`).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.planner.captures import ArmView
+from agents.planner.config import PlannerConfig
+from agents.planner.curve import NoGraspError, ThreadCurve, curve_of
+from agents.planner.plan import plan_grasp
+from agents.planner.pulling.stopping import MM, NEAREST_M, Verdict, decide, in_words, straight
+from agents.planner.pulling.strands import SAMPLES, Meant, Strands, strands_of
+from agents.planner.pulling.tail import tail_length
+from agents.planner.pulling.way import Around, clear_until, clear_ways, jaw_of, lift_of, moved
+from agents.planner.wedge import thread_covariance
+from schemas.messages import (
+    CommandHeader,
+    FrameStamp,
+    GraspGoal,
+    GraspPlan,
+    Phase,
+    Policy,
+    Pull,
+    PullBounds,
+    PullGoal,
+    PullGrip,
+    PullStop,
+    Status,
+    TailLength,
+    ThreadReconstruction,
+    Waypoint,
+)
+from schemas.messages.pulling import SIGMAS_95
+from shared.kinematics.psm import FINGER_M
+
+FROM_ENTRY_M = tuple(FINGER_M * np.arange(1.0, 3.25, 0.5))
+"""Where the standing strand may be grasped: fingers that reach down beside the entry do not press on its tissue."""
+GRASP_S, SEGMENT_S = 30.0, 5.0
+"""How long a grasp takes at most, and a segment with the rest for a fresh image: bounds that an arming should state."""
+
+
+def begin(
+    goal: PullGoal, thread: ThreadReconstruction, arm: ArmView, config: PlannerConfig, around: Around
+) -> GraspPlan:
+    """The first segment of a pull, or a rejection with its reason; for a goal without a tail, the jaws let go."""
+    name = f"pull-{goal.header.id}"
+    if goal.tail_m is None:
+        nothing = Pull(None, 1, None, None, None, None, None, None, True, PullStop.LET_GO, "the jaws let go, as asked")
+        return _plan(name, goal.arm, goal.header.id, thread.stamp, _letting_go(arm, config), nothing)
+    try:
+        if goal.tail_m < config.least_tail_m:
+            least = f"a tail of {MM * config.least_tail_m:.0f} mm at least is left, so that it can be taken again"
+            raise NoGraspError(least)
+        curve = curve_of(thread)
+        strands = strands_of(thread, curve, config, Meant(exit_pixel=goal.exit_pixel), around.needle)
+        verdict = decide(goal.tail_m, strands, None, np.zeros(3), False, config)
+        if verdict.stop is not None:
+            raise NoGraspError(verdict.sentence)
+        pull = _pull(goal.tail_m, 1, strands, None, verdict.sentence)
+        return _grasped(name, goal.header, goal.arm, pull, thread, curve, strands, arm, config, around)
+    except NoGraspError as error:
+        return _rejected(name, goal.arm, goal.header.id, thread, str(error))
+
+
+def go_on(
+    plan: GraspPlan, thread: ThreadReconstruction, arm: ArmView, config: PlannerConfig, around: Around
+) -> GraspPlan | None:
+    """The segment after one that has ended, from what is seen now; None where the thread does not tell that yet."""
+    was = plan.pull
+    assert was is not None and was.tail_m is not None  # noqa: S101 - asked of pulls that go on alone
+    try:
+        curve = curve_of(thread)
+        strands = strands_of(thread, curve, config, meant_by(was), around.needle)
+    except NoGraspError:
+        return None
+    depth_m = plan.depth_m or 0.0
+    jaw = jaw_of(arm.T_camera_tool, depth_m)
+    is_straight = was.grip is not None and straight(thread, curve, strands, jaw, config)
+    verdict = decide(was.tail_m, strands, was.grip, jaw, is_straight, config)
+    if verdict.stop is PullStop.END_UNSEEN:
+        return None
+    named = f"pull-{plan.goal_id}.{was.segment + 1}"
+    pull = _pull(was.tail_m, was.segment + 1, strands, was.grip, verdict.sentence)
+    if verdict.stop is not None:
+        return _over(plan, named, thread, arm, config, pull, verdict)
+    if was.grip is None:
+        try:
+            header = CommandHeader(plan.goal_id, 0, "planner")
+            again = _grasped(named, header, plan.arm, pull, thread, curve, strands, arm, config, around)
+        except NoGraspError as error:
+            return _over(plan, named, thread, arm, config, pull, Verdict(PullStop.NO_WAY, str(error)))
+        return replace(again, continues=plan.plan_id)
+    ahead = clear_until(
+        arm.T_camera_tool,
+        was.grip.way_end_camera,
+        strands.entry.point_camera,
+        depth_m,
+        curve,
+        strands,
+        arm,
+        config,
+        around,
+    )
+    run_m = min(strands.tail.length_m - was.tail_m, config.pull_segment_m)
+    here_m = float(np.linalg.norm(jaw - was.grip.entry_camera))
+    target = _target(jaw, ahead, was.grip.entry_camera, max(here_m, _surely_m(was.grip)) + run_m, config)
+    if np.linalg.norm(target - jaw) < NEAREST_M:
+        used = f"the way is used up, so that the jaws let go and grasp anew: {in_words(strands.tail)}"
+        return _over(plan, named, thread, arm, config, pull, Verdict(None, used))
+    onward = Waypoint(moved(arm.T_camera_tool, target - jaw), float(np.radians(config.closed_deg)), Phase.PULL, None)
+    pulled = replace(pull, sentence=f"pull on by {MM * np.linalg.norm(target - jaw):.1f} mm; {verdict.sentence}")
+    made = _plan(named, plan.arm, plan.goal_id, thread.stamp, (onward,), pulled)
+    return replace(made, continues=plan.plan_id, depth_m=plan.depth_m, probability=plan.probability)
+
+
+def meant_by(pull: Pull) -> Meant:
+    """Which exit and entry are those of a pull that is under way."""
+    if pull.exit is None or pull.entry is None:
+        return Meant()
+    return Meant(exit_camera=pull.exit.point_camera, entry_camera=pull.entry.point_camera)
+
+
+def _pull(tail_m: float, segment: int, strands: Strands, grip: PullGrip | None, sentence: str) -> Pull:
+    seen = strands.tail, strands.free_end, strands.exit, strands.entry
+    return Pull(tail_m, segment, *seen, grip, None, last=False, stop=None, sentence=sentence)
+
+
+def _grasped(
+    name: str,
+    header: CommandHeader,
+    arm_name: str,
+    pull: Pull,
+    thread: ThreadReconstruction,
+    curve: ThreadCurve,
+    strands: Strands,
+    arm: ArmView,
+    config: PlannerConfig,
+    around: Around,
+) -> GraspPlan:
+    """The likeliest direct grasp of the standing strand from which a clear way leads on, and the first pull there.
+
+    Raises:
+        NoGraspError: where there is none.
+    """
+    entry, far = strands.standing
+    long_m = abs(far - entry) * curve.length_m
+    best: GraspPlan | None = None
+    why = f"the standing strand is {MM * long_m:.0f} mm long, too short to be grasped clear of its entry"
+    for from_entry_m in (one for one in FROM_ENTRY_M if one < long_m - config.grasp_arc_m):
+        s = entry + (1.0 if far > entry else -1.0) * from_entry_m / curve.length_m
+        goal = GraspGoal(header, arm_name, Policy.DIRECT, float(s), None, None, attempts=1)
+        grasp = plan_grasp(goal, thread, arm, config, around.tissue, needle=around.needle)
+        if grasp.status is not Status.OK or (grasp.thread is not None and grasp.thread.obstructed):
+            why = grasp.reason or (grasp.thread.obstructed if grasp.thread is not None else "")
+            continue
+        if best is not None and grasp.probability <= best.probability + 0.5 / config.samples:
+            continue
+        made = _pulling(grasp, float(s), pull, thread, curve, strands, arm, config, around)
+        if made is None:
+            why = "no way leads on from the standing strand clear of tissue, thread, needle and instruments"
+            continue
+        best = replace(made, plan_id=name)
+    if best is None:
+        raise NoGraspError(f"the standing strand cannot be pulled: {why}")
+    return best
+
+
+def _pulling(
+    grasp: GraspPlan,
+    s: float,
+    pull: Pull,
+    thread: ThreadReconstruction,
+    curve: ThreadCurve,
+    strands: Strands,
+    arm: ArmView,
+    config: PlannerConfig,
+    around: Around,
+) -> GraspPlan | None:
+    """A grasp with the first pull from there; None where no way gains anything."""
+    entry = strands.entry.point_camera
+    to_grasp = tuple(waypoint for waypoint in grasp.waypoints if waypoint.phase is not Phase.RETREAT)
+    T_grasp, depth_m = to_grasp[-1].T_camera_tool, grasp.depth_m or 0.0
+    way_end = clear_ways(T_grasp, entry, depth_m, curve, strands, arm, config, around)
+    between = np.linspace(strands.standing[0], s, SAMPLES)
+    covariance = thread_covariance(thread, curve, between)
+    assert covariance is not None  # noqa: S101 - strands are of a thread that tells it
+    strand = tail_length(curve.points(between), covariance, config.correlation_m)
+    left_m = strands.tail.length_m - (pull.tail_m or 0.0)
+    if way_end is None or np.linalg.norm(way_end - entry) < strand.length_m + min(left_m, config.pull_segment_m):
+        return None
+    jaw = jaw_of(T_grasp, depth_m)
+    grip = PullGrip(jaw, entry, strand.length_m, strand.deviation_m, strands.tail, way_end)
+    T_lifted = moved(T_grasp, lift_of(T_grasp, depth_m, config))
+    lifted = jaw_of(T_lifted, depth_m)
+    target = _target(lifted, way_end, entry, _surely_m(grip) + min(left_m, config.pull_segment_m), config)
+    closed = float(np.radians(config.closed_deg))
+    poses = [T_lifted, *([moved(T_lifted, target - lifted)] if np.linalg.norm(target - lifted) >= NEAREST_M else [])]
+    pulls = tuple(Waypoint(T, closed, Phase.PULL, None) for T in poses)
+    bounds = _bounds(strands.tail, left_m, strand, grip, config)
+    until = f"pull until the tail is {MM * (pull.tail_m or 0.0):.1f} mm"
+    told = f"grasp {MM * strand.length_m:.0f} mm from the entry, {until}"
+    pulled = replace(
+        pull,
+        grip=grip,
+        bounds=bounds if pull.segment == 1 else None,
+        sentence=f"{told}; grasp succeeds with {grasp.probability:.0%}; {pull.sentence}",
+    )
+    return replace(grasp, waypoints=(*to_grasp, *pulls), pull=pulled)
+
+
+def _bounds(tail: TailLength, left_m: float, strand: TailLength, grip: PullGrip, config: PlannerConfig) -> PullBounds:
+    """What a pull needs, its deviations included: a loose strand and a lift with each grasp, and all that is to run."""
+    runs_m = left_m + SIGMAS_95 * tail.deviation_m
+    usable_m = float(np.linalg.norm(grip.way_end_camera - grip.entry_camera)) - strand.length_m
+    grasps = int(np.ceil(runs_m / max(usable_m, config.pull_segment_m)))
+    # a way that is oblique to the strand is longer than what runs, by √2 at its steepest
+    slack_m = config.pull_reach_m
+    length_m = np.sqrt(2.0) * runs_m + grasps * slack_m
+    time_s = 2 * grasps * GRASP_S + SEGMENT_S * np.ceil(runs_m / config.pull_segment_m)
+    return PullBounds(float(np.ceil(length_m * MM) / MM), float(time_s), config.pull_reach_m + config.grasp_arc_m)
+
+
+def _target(
+    jaw: Float64[np.ndarray, "3"],
+    end: Float64[np.ndarray, "3"],
+    entry_camera: Float64[np.ndarray, "3"],
+    away_m: float,
+    config: PlannerConfig,
+) -> Float64[np.ndarray, "3"]:
+    """Where on the straight way from here to its end the jaws are so far from the entry, or have gone 2 d."""
+    way_m = float(np.linalg.norm(end - jaw))
+    share = np.linspace(0.0, 1.0, 1 + int(way_m / (0.1 * NEAREST_M)))
+    places = jaw + share[:, None] * (end - jaw)
+    there = np.linalg.norm(places - entry_camera, axis=1) >= away_m
+    enough = there | (share * way_m >= 2.0 * config.pull_segment_m)
+    return places[int(np.argmax(enough))] if enough.any() else places[-1]
+
+
+def _surely_m(grip: PullGrip) -> float:
+    """a⁻."""
+    return max(grip.strand_m - SIGMAS_95 * grip.deviation_m, 0.0)
+
+
+def _over(
+    plan: GraspPlan,
+    named: str,
+    thread: ThreadReconstruction,
+    arm: ArmView,
+    config: PlannerConfig,
+    pull: Pull,
+    verdict: Verdict,
+) -> GraspPlan:
+    """Let go of what is held: for good where the verdict says to stop, else to grasp anew."""
+    freed = replace(pull, grip=None, last=verdict.stop is not None, stop=verdict.stop, sentence=verdict.sentence)
+    held = plan.pull is not None and plan.pull.grip is not None
+    opened = float(np.radians(config.open_deg))
+    stays = (Waypoint(arm.T_camera_tool, opened, Phase.RELEASE, None),)
+    way = _letting_go(arm, config) if held else stays
+    made = _plan(named, plan.arm, plan.goal_id, thread.stamp, way, freed)
+    return replace(made, continues=plan.plan_id, depth_m=plan.depth_m)
+
+
+def _letting_go(arm: ArmView, config: PlannerConfig) -> tuple[Waypoint, ...]:
+    """Open the jaws where they are, and go back along them as far as an approach begins, where the arm reaches that."""
+    opened = float(np.radians(config.open_deg))
+    here = arm.T_camera_tool
+    back = moved(here, -config.standoff_m * here[:3, 2])
+    way = (here, back) if bool(np.all(arm.reachable(back[None]))) else (here,)
+    return tuple(Waypoint(T, opened, Phase.RELEASE, None) for T in way)
+
+
+def _plan(
+    name: str, arm: str, goal_id: str, stamp: FrameStamp, waypoints: tuple[Waypoint, ...], pull: Pull
+) -> GraspPlan:
+    return GraspPlan(
+        plan_id=name,
+        arm=arm,
+        goal_id=goal_id,
+        stamp=stamp,
+        status=Status.OK,
+        reason="",
+        policy=Policy.DIRECT,
+        s_goal=None,
+        s_capture=None,
+        probability=1.0,
+        slide_m=0.0,
+        waypoints=waypoints,
+        alternatives=(),
+        pull=pull,
+    )
+
+
+def _rejected(name: str, arm: str, goal_id: str, thread: ThreadReconstruction, reason: str) -> GraspPlan:
+    return GraspPlan(
+        name, arm, goal_id, thread.stamp, Status.FAILED, reason, Policy.DIRECT, None, None, 0.0, 0.0, (), ()
+    )

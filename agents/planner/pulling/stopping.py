@@ -1,0 +1,110 @@
+"""Whether a pull may go on, from how far the jaws went and how much shorter the tail became.
+
+Of a strand that had the length a between entry and jaws when it was grasped, |jaw − entry| − a more must have run out
+of the tissue once the jaws are farther away than that; the entry counts where it was then, so that tissue which follows
+the jaws counts as thread that did not run. No force is measured. Thread that lags behind by more than all deviations
+together explain (95 %) does not run: it slips in the jaws while the strand between entry and jaws is slack; where that
+is straight, it is held in the tissue and comes under tension.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.planner.config import PlannerConfig
+from agents.planner.curve import ThreadCurve
+from agents.planner.pulling.strands import SAMPLES, Strands
+from agents.planner.pulling.tail import tail_length
+from agents.planner.wedge import thread_covariance
+from schemas.messages import EndSight, PullGrip, PullStop, TailLength, ThreadReconstruction
+from schemas.messages.pulling import SIGMAS_95
+
+NEAREST_M = 0.0005
+"""An arm has arrived where it is so near to a place (the bridge confirms no less), and pulls no finer."""
+MM = 1e3
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Why to stop, None where the pull may go on, and what that is judged by.
+
+    Fields:
+        ran_m: how much shorter the tail is than before the grasp; None while nothing is held.
+        travelled_m: how much of the strand must have run out by where the jaws are; None likewise.
+    """
+
+    stop: PullStop | None
+    sentence: str
+    ran_m: float | None = None
+    travelled_m: float | None = None
+
+
+def decide(
+    tail_m: float,
+    strands: Strands,
+    grip: PullGrip | None,
+    jaw_camera: Float64[np.ndarray, "3"],
+    is_straight: bool,
+    config: PlannerConfig,
+) -> Verdict:
+    """Whether to go on pulling until the tail is so long.
+
+    Args:
+        grip: of what the jaws hold; None while they hold nothing.
+        jaw_camera: where the held thread is now.
+        is_straight: the strand between entry and jaws, as `straight` tells.
+    """
+    tail = strands.tail
+    told = in_words(tail)
+    if strands.free_end.sight is not EndSight.SEEN:
+        why = "hidden" if strands.free_end.sight is EndSight.HIDDEN else "out of view"
+        return Verdict(PullStop.END_UNSEEN, f"the free end is {why}: {told}, and whether it runs cannot be told")
+    if tail.interval_m[0] <= config.least_tail_m:
+        return Verdict(PullStop.FREE_END_NEAR, f"the free end comes near the tissue: {told}")
+    if tail.length_m - tail_m <= NEAREST_M:
+        return Verdict(PullStop.REACHED, f"{told}, and {MM * tail_m:.1f} mm were asked for")
+    if grip is None:
+        return Verdict(None, told)
+    ran_m = grip.tail.length_m - tail.length_m
+    travelled_m = max(0.0, float(np.linalg.norm(jaw_camera - grip.entry_camera)) - grip.strand_m)
+    deviations = tail.deviation_m, grip.tail.deviation_m, grip.deviation_m, config.tool_error_m
+    unsure_m = SIGMAS_95 * float(np.linalg.norm(deviations))
+    took = f"{MM * travelled_m:.1f} (± {MM * unsure_m:.1f})"
+    both = f"the tail shortened by {MM * ran_m:.1f} mm where the jaws took {took}"
+    if travelled_m - ran_m <= unsure_m:
+        return Verdict(None, f"{told}; {both}", ran_m, travelled_m)
+    if is_straight:
+        held = f"{both}, and the strand that is pulled is straight: it is held in the tissue"
+        return Verdict(PullStop.TENSION, held, ran_m, travelled_m)
+    slips = f"{both}, and the strand that is pulled is slack: it slips through the jaws, or they missed it"
+    return Verdict(PullStop.NOT_RUNNING, slips, ran_m, travelled_m)
+
+
+def straight(
+    thread: ThreadReconstruction,
+    curve: ThreadCurve,
+    strands: Strands,
+    jaw_camera: Float64[np.ndarray, "3"],
+    config: PlannerConfig,
+) -> bool:
+    """Whether the strand from the entry to the jaws is no longer than the way; also where it is not seen so far."""
+    s = np.linspace(*strands.standing, 4 * SAMPLES)
+    points = curve.points(s)
+    off_m = np.linalg.norm(points - jaw_camera, axis=1)
+    nearest = int(np.argmin(off_m))
+    if off_m[nearest] > config.goal_within_m or nearest < 2:
+        return True
+    covariance = thread_covariance(thread, curve, s[: nearest + 1])
+    assert covariance is not None  # noqa: S101 - strands are of a thread that tells it
+    strand = tail_length(points[: nearest + 1], covariance, config.correlation_m)
+    way_m = float(np.linalg.norm(points[nearest] - points[0]))
+    return strand.length_m - way_m <= SIGMAS_95 * strand.deviation_m
+
+
+def in_words(tail: TailLength) -> str:
+    """A tail's length with its interval."""
+    low_m, high_m = tail.interval_m
+    if high_m is None:
+        return f"the tail is at least {MM * low_m:.1f} mm long"
+    return f"the tail is {MM * tail.length_m:.1f} mm long ({MM * low_m:.1f} to {MM * high_m:.1f})"

@@ -1,0 +1,218 @@
+"""The tail and the standing strand of a thread that passes through tissue, and the three ends between them.
+
+Tissue hides a few millimetres of the thread. Depending on its course a reconstruction is one curve with an unseen gap,
+or the curve of one strand, with the other one among its `other_threads`. Either way two ends face each other across the
+tissue. One of them is the tail's exit, the other the standing strand's entry. Which is which is told by a pixel of the
+user's, by the frame before, by the needle, or by which far end is seen; where none of these tells, nothing is guessed.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.planner.config import PlannerConfig
+from agents.planner.curve import NoGraspError, ThreadCurve, pixels
+from agents.planner.needle import NeedleAround
+from agents.planner.pulling.other_strand import other_strands
+from agents.planner.pulling.tail import tail_length
+from agents.planner.wedge import thread_covariance
+from schemas.messages import SURE, EndSight, StrandEnd, TailLength, ThreadReconstruction
+from shared.camera import project
+
+SAMPLES = 81
+LEAST_GAP_M, MOST_GAP_M = 0.002, 0.015
+"""A bite is 3 to 10 mm of tissue; what is hidden over less is a glint, and over more no single bite."""
+END_PX = 2.0
+"""Points of a centreline lie so far apart, so that its last one is up to so far from where the thread ends."""
+BORDER_PX = 2.0 * END_PX
+"""What ends so near to the border of an image leaves it."""
+WHICH = "name the tail's exit by its pixel (--exit-pixel U V)"
+
+
+@dataclass(frozen=True)
+class Meant:
+    """Which exit is meant: that at a pixel, or where exit and entry were a frame ago; neither where nothing tells."""
+
+    exit_pixel: Float64[np.ndarray, "2"] | None = None
+    exit_camera: Float64[np.ndarray, "3"] | None = None
+    entry_camera: Float64[np.ndarray, "3"] | None = None
+
+
+@dataclass(frozen=True)
+class Strands:
+    """A thread on both sides of a bite of tissue.
+
+    Fields:
+        tail: from the free end to the exit.
+        standing: shares of the reconstructed thread's length at the entry and at the strand's other end.
+    """
+
+    free_end: StrandEnd
+    exit: StrandEnd
+    entry: StrandEnd
+    tail: TailLength
+    standing: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Bite:
+    """One way to take a gap: ends on the reconstructed thread, or those of another strand.
+
+    Fields:
+        standing: as in `Strands`; None where the strand to pull is the other one, which is not reconstructed.
+        far: the standing strand's other end.
+        points, covariance: of the tail, from its free end to its exit.
+    """
+
+    free_end: StrandEnd
+    exit: StrandEnd
+    entry: StrandEnd
+    far: StrandEnd
+    standing: tuple[float, float] | None
+    points: Float64[np.ndarray, "n 3"]
+    covariance: Float64[np.ndarray, "n 3 3"]
+
+
+def strands_of(
+    thread: ThreadReconstruction,
+    curve: ThreadCurve,
+    config: PlannerConfig,
+    meant: Meant,
+    needle: NeedleAround | None = None,
+) -> Strands:
+    """The strands of a thread, its ends and its tail, in metres and the camera frame.
+
+    Raises:
+        NoGraspError: where the thread passes through no tissue that is seen, or which strand is the tail cannot be
+            told, or the strand to pull is not the one that is reconstructed.
+    """
+    if thread_covariance(thread, curve, np.zeros(1)) is None:
+        raise NoGraspError("the reconstruction does not tell how well it knows the thread, so no tail can be measured")
+    bites = [*_on_one_curve(thread, curve), *_beside_another(thread, curve)]
+    if not bites:
+        raise NoGraspError("no place is seen at which the thread passes through tissue, so it has no exit to pull from")
+    bite = _meant(bites, curve, config, meant, needle)
+    if bite.standing is None:
+        pixel, _ = project(curve.camera, bite.entry.point_camera[None])
+        u, v = np.rint(pixel[0]).astype(int)
+        raise NoGraspError(
+            "the strand to pull is seen and not reconstructed, for the tail is taken for the thread: say that the "
+            f"other one is meant (suturegrasp prompt --pixel {u} {v}), then ask again"
+        )
+    depth_m = float(np.mean([bite.free_end.point_camera[2], bite.exit.point_camera[2]]))
+    hidden = bite.free_end.sight is not EndSight.SEEN
+    tail = tail_length(
+        bite.points, bite.covariance, config.correlation_m, END_PX * depth_m / curve.camera.fx_px, hidden
+    )
+    return Strands(bite.free_end, bite.exit, bite.entry, tail, bite.standing)
+
+
+def _on_one_curve(thread: ThreadReconstruction, curve: ThreadCurve) -> Iterator[_Bite]:
+    for start, end in _gaps(thread, curve):
+        for free, out, into, far in ((0.0, start, end, 1.0), (1.0, end, start, 0.0)):
+            s = np.linspace(free, out, SAMPLES)
+            tip, exit_, entry, other = (_end(thread, curve, one) for one in (free, out, into, far))
+            covariance = thread_covariance(thread, curve, s)
+            assert covariance is not None  # noqa: S101 - looked at before
+            yield _Bite(tip, exit_, entry, other, (into, far), curve.points(s), covariance)
+
+
+def _gaps(thread: ThreadReconstruction, curve: ThreadCurve) -> Iterator[tuple[float, float]]:
+    """Unseen stretches between two seen ones as long as a bite is, where no instrument hides them."""
+    joins = np.zeros((0, 2)) if thread.course is None else thread.course.joins[1:-1]
+    stretches = np.concatenate((curve.unseen, joins))
+    hidden = np.zeros((0, 2)) if thread.hidden is None else np.sort(thread.hidden, axis=1)
+    reach = -1.0
+    merged: list[list[float]] = []
+    for start, end in stretches[np.argsort(stretches[:, 0], kind="stable")].tolist():
+        if merged and start <= reach:
+            merged[-1][1] = max(merged[-1][1], end)
+        else:
+            merged.append([start, end])
+        reach = merged[-1][1]
+    for start, end in merged:
+        covered = np.clip(np.minimum(hidden[:, 1], end) - np.maximum(hidden[:, 0], start), 0.0, None).sum()
+        long_m = (end - start) * curve.length_m
+        if start > 0 and end < 1 and LEAST_GAP_M <= long_m <= MOST_GAP_M and covered < 0.5 * (end - start):
+            yield start, end
+
+
+def _beside_another(thread: ThreadReconstruction, curve: ThreadCurve) -> Iterator[_Bite]:
+    """Ends of the reconstructed thread that face one of another strand."""
+    s = np.linspace(0.0, 1.0, SAMPLES)
+    own, own_covariance = curve.points(s), thread_covariance(thread, curve, s)
+    assert own_covariance is not None  # noqa: S101 - looked at before
+    tips = _end(thread, curve, 0.0), _end(thread, curve, 1.0)
+    for points, covariance in other_strands(thread.other_threads, curve.camera):
+        for mine, other in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
+            gap_m = float(np.linalg.norm(own[mine] - points[other]))
+            if not LEAST_GAP_M <= gap_m <= MOST_GAP_M:
+                continue
+            here = replace(tips[mine], sight=EndSight.SEEN)
+            far_place = -1 - other
+            there = StrandEnd(points[other], covariance[other], EndSight.SEEN)
+            far = StrandEnd(points[far_place], covariance[far_place], _in_view(curve, points[far_place]))
+            s_here = float(s[mine])
+            order = slice(None, None, -1) if other == 0 else slice(None)
+            yield _Bite(far, there, here, tips[-1 - mine], (s_here, 1.0 - s_here), points[order], covariance[order])
+            order = slice(None, None, -1) if mine == 0 else slice(None)
+            yield _Bite(tips[-1 - mine], here, there, far, None, own[order], own_covariance[order])
+
+
+def _meant(
+    bites: list[_Bite], curve: ThreadCurve, config: PlannerConfig, meant: Meant, needle: NeedleAround | None
+) -> _Bite:
+    if meant.exit_pixel is not None:
+        at, _ = project(curve.camera, np.stack([bite.exit.point_camera for bite in bites]))
+        off_px = np.linalg.norm(at - meant.exit_pixel, axis=1)
+        if off_px.min() > config.goal_within_px:
+            near = f"the nearest exit is {off_px.min():.0f} px from the pixel that was named"
+            raise NoGraspError(f"{near}, and at most {config.goal_within_px:.0f} px are accepted")
+        return bites[int(np.argmin(off_px))]
+    if meant.exit_camera is not None and meant.entry_camera is not None:
+        were = meant.exit_camera, meant.entry_camera
+        off_m = [max(_apart(b.exit, were[0]), _apart(b.entry, were[1])) for b in bites]
+        if min(off_m) > MOST_GAP_M:
+            raise NoGraspError(f"exit and entry are not seen where they were: {1e3 * min(off_m):.0f} mm off")
+        return bites[int(np.argmin(off_m))]
+    held = [b for b in bites if needle is not None and _apart(b.far, needle.swage_camera) <= config.goal_within_m]
+    likely = held or [b for b in bites if b.free_end.sight is EndSight.SEEN and b.far.sight is not EndSight.SEEN]
+    if len(likely) == 1:
+        return likely[0]
+    if len(bites) > 2:
+        raise NoGraspError(f"the thread passes through tissue at several places: {WHICH}")
+    raise NoGraspError(f"which of both strands is the tail cannot be told: {WHICH}")
+
+
+def _apart(end: StrandEnd, place_camera: Float64[np.ndarray, "3"]) -> float:
+    return float(np.linalg.norm(end.point_camera - place_camera))
+
+
+def _end(thread: ThreadReconstruction, curve: ThreadCurve, s: float) -> StrandEnd:
+    """An end of the curve, or of what is seen of it."""
+    at = np.array([s])
+    point, covariance = curve.points(at)[0], thread_covariance(thread, curve, at)
+    assert covariance is not None  # noqa: S101 - looked at before
+    sight = _in_view(curve, point)
+    if sight is EndSight.SEEN and s in (0.0, 1.0) and _hides(thread, curve, int(s)):
+        sight = EndSight.HIDDEN
+    return StrandEnd(point, covariance[0], sight, s)
+
+
+def _hides(thread: ThreadReconstruction, curve: ThreadCurve, which: int) -> bool:
+    """Whether something hides an end of the thread, or the thread may go on from there to another piece in view."""
+    if thread.course is not None and len(thread.course.probability) and thread.course.probability[-which] < SURE:
+        return True
+    if thread.ends_hidden is not None and bool(thread.ends_hidden[which]):
+        return True
+    stretches = curve.unseen if thread.hidden is None else np.concatenate((curve.unseen, thread.hidden))
+    return bool(((stretches[:, 0] <= which) & (stretches[:, 1] >= which)).any())
+
+
+def _in_view(curve: ThreadCurve, point: Float64[np.ndarray, "3"]) -> EndSight:
+    """Whether a place lies in both images, and not at the border of one."""
+    last = np.array([curve.camera.image_width, curve.camera.image_height]) - 1.0 - BORDER_PX
+    inside = [bool(((px >= BORDER_PX) & (px <= last)).all()) for px in pixels(curve, point[None])]
+    return EndSight.SEEN if all(inside) else EndSight.OUT_OF_VIEW

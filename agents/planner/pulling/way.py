@@ -1,0 +1,184 @@
+"""The way of closed jaws that pull the standing strand away from its entry, clear of all else.
+
+From where they grasped, the jaws lift back along their fingers, and then go straight on: away from the entry, up from
+the tissue by some angle, and to one side of that by another. Of these ways the one on which the jaws get farthest from
+the entry is taken, of equals the one with the least turns. Along it the tool keeps its attitude. It is followed in
+steps of a millimetre until it is not reachable, would take the jaws beyond the bounds or nearer to the entry again,
+brings fingers, wrist or shaft too near to thread, needle or another instrument, or closed fingers to the tissue.
+
+What does not count as thread in the way is what the jaws hold, and the loose strand behind them that they take along.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from agents.planner.captures import ArmView
+from agents.planner.config import PlannerConfig
+from agents.planner.curve import ThreadCurve, unit_vectors
+from agents.planner.jaws import SHAFT_M, SHAFT_RADIUS_M, aside_pass, clearances, instrument_at, nearest_to_tissue
+from agents.planner.needle import NeedleAround
+from agents.planner.pulling.strands import Strands
+from agents.planner.tissue_clearance import SeenTissue
+from shared.kinematics.psm import FINGER_M
+
+STEP_M, POINTS = 0.001, 400
+RISES_DEG, TURNS_DEG = (30.0, 45.0, 15.0, 60.0), (0.0, 30.0, -30.0, 60.0, -60.0)
+BETTER_M = 0.002
+"""By how much farther a way must lead to be taken instead of one that turns less."""
+
+
+@dataclass(frozen=True)
+class Around:
+    """What a pull must keep clear of, beside the thread.
+
+    Fields:
+        instruments: of the other arms, places along the axis of each tool in the camera frame.
+    """
+
+    tissue: SeenTissue
+    needle: NeedleAround | None = None
+    instruments: Sequence[Float64[np.ndarray, "k 3"]] = ()
+
+
+def jaw_of(T_camera_tool: Float64[np.ndarray, "*n 4 4"], depth_m: float) -> Float64[np.ndarray, "*n 3"]:
+    """Where thread lies between closed fingers whose tips reach so far beyond it."""
+    return T_camera_tool[..., :3, 3] + (FINGER_M - depth_m) * T_camera_tool[..., :3, 2]
+
+
+def moved(
+    T_camera_tool: Float64[np.ndarray, "4 4"], by_m: Float64[np.ndarray, "*n 3"]
+) -> Float64[np.ndarray, "*n 4 4"]:
+    """A pose, moved and not turned."""
+    poses = np.broadcast_to(T_camera_tool, (*by_m.shape[:-1], 4, 4)).copy()
+    poses[..., :3, 3] += by_m
+    return poses
+
+
+def clear_ways(
+    T_camera_tool: Float64[np.ndarray, "4 4"],
+    entry_camera: Float64[np.ndarray, "3"],
+    depth_m: float,
+    curve: ThreadCurve,
+    strands: Strands,
+    arm: ArmView,
+    config: PlannerConfig,
+    around: Around,
+) -> Float64[np.ndarray, "3"] | None:
+    """Where the best way from a grasp ends, as a place of the jaws after the lift; None where none leads anywhere."""
+    lift_m = lift_of(T_camera_tool, depth_m, config)
+    start = moved(T_camera_tool, lift_m)
+    if not bool(np.all(arm.reachable(start[None]))):
+        return None
+    jaw = jaw_of(start, depth_m)
+    best, best_m = None, BETTER_M
+    for direction in _directions(jaw - entry_camera, jaw):
+        end = jaw + direction * config.pull_reach_m
+        clear = clear_until(start, end, entry_camera, depth_m, curve, strands, arm, config, around)
+        gained_m = _from(clear, entry_camera) - _from(jaw, entry_camera)
+        if gained_m > best_m:
+            best, best_m = clear, gained_m + BETTER_M
+    return best
+
+
+def lift_of(
+    T_camera_tool: Float64[np.ndarray, "4 4"], depth_m: float, config: PlannerConfig
+) -> Float64[np.ndarray, "3"]:
+    """Back along the fingers until their tips are before where the thread lay."""
+    return -(depth_m + config.aside_clear_m) * T_camera_tool[:3, 2]
+
+
+def clear_until(
+    T_camera_tool: Float64[np.ndarray, "4 4"],
+    end_camera: Float64[np.ndarray, "3"],
+    entry_camera: Float64[np.ndarray, "3"],
+    depth_m: float,
+    curve: ThreadCurve,
+    strands: Strands,
+    arm: ArmView,
+    config: PlannerConfig,
+    around: Around,
+) -> Float64[np.ndarray, "3"]:
+    """How far the jaws can go straight towards a place from where they are: a place of theirs, theirs now at least."""
+    jaw = jaw_of(T_camera_tool, depth_m)
+    long_m = _from(end_camera, jaw)
+    share = np.arange(1, int(long_m / STEP_M) + 1) * STEP_M / max(long_m, STEP_M)
+    if not len(share):
+        return jaw
+    poses = moved(T_camera_tool, share[:, None] * (end_camera - jaw))
+    jaws = jaw_of(poses, depth_m)
+    off_m = np.linalg.norm(jaws - entry_camera, axis=1)
+    open_ = (off_m <= config.pull_reach_m) & (np.diff(off_m, prepend=_from(jaw, entry_camera)) >= 0)
+    open_ &= np.asarray(arm.reachable(poses), bool)
+    open_ &= _clear_of_all(poses, jaws, curve, strands, arm, config, around)
+    far = len(open_) if open_.all() else int(np.argmin(open_))
+    return jaws[far - 1] if far else jaw
+
+
+def _directions(away: Float64[np.ndarray, "3"], jaw_camera: Float64[np.ndarray, "3"]) -> list[Float64[np.ndarray, "3"]]:
+    """From the entry along the strand, and up towards the camera."""
+    up = -unit_vectors(jaw_camera)
+    flat = unit_vectors(away - (away @ up) * up)
+    side = np.cross(up, flat)
+    turns, rises = np.radians(TURNS_DEG), np.radians(RISES_DEG)
+    return [
+        np.cos(rise) * (np.cos(turn) * flat + np.sin(turn) * side) + np.sin(rise) * up
+        for turn in turns
+        for rise in rises
+    ]
+
+
+def _clear_of_all(
+    poses: Float64[np.ndarray, "k 4 4"],
+    jaws: Float64[np.ndarray, "k 3"],
+    curve: ThreadCurve,
+    strands: Strands,
+    arm: ArmView,
+    config: PlannerConfig,
+    around: Around,
+) -> Bool[np.ndarray, "k"]:
+    instrument = instrument_at(poses, np.full(len(poses), np.radians(config.closed_deg)), arm.T_camera_base)
+    s = np.linspace(0.0, 1.0, POINTS)
+    points = curve.points(s)
+    clear = np.ones(len(poses), bool)
+    counts = points[_counts(s, points, jaws[0], curve, strands, config)]
+    if len(counts):
+        clear &= clearances(instrument, counts).min(axis=1) >= config.thread_radius_m + config.thread_clear_m
+    if around.needle is not None:
+        off = clearances(instrument, around.needle.points_camera) - around.needle.reach_m
+        clear &= off.min(axis=1) >= config.thread_clear_m
+    for axis in around.instruments:
+        clear &= clearances(instrument, axis).min(axis=1) >= SHAFT_RADIUS_M + config.thread_clear_m
+    if around.tissue.tissue is not None:
+        near = nearest_to_tissue(around.tissue.tissue, poses, aside_pass(config), config)
+        clear &= (near.bound_m >= 0) & ((near.known == 1) | (not config.tissue_required))
+    return clear
+
+
+def _counts(
+    s: Float64[np.ndarray, "n"],
+    points: Float64[np.ndarray, "n 3"],
+    jaw_camera: Float64[np.ndarray, "3"],
+    curve: ThreadCurve,
+    strands: Strands,
+    config: PlannerConfig,
+) -> Bool[np.ndarray, "n"]:
+    """What thread is in the way: all but what is held, and the strand behind the jaws as far as they take it along."""
+    entry, far = strands.standing
+    standing = (s >= min(entry, far)) & (s <= max(entry, far))
+    held = s[standing][np.argmin(np.linalg.norm(points[standing] - jaw_camera, axis=1))] if standing.any() else entry
+    behind_m = (s - held) * curve.length_m * (1.0 if far > entry else -1.0)
+    return (behind_m < -config.grasp_arc_m) | (behind_m > config.pull_reach_m + config.grasp_arc_m)
+
+
+def _from(a: Float64[np.ndarray, "3"], b: Float64[np.ndarray, "3"]) -> float:
+    return float(np.linalg.norm(a - b))
+
+
+def tool_places(axis: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "k 3"]:
+    """Places a step apart along the axis of an instrument, from its tips as far as its shaft comes near the thread."""
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1)))
+    at = np.arange(0.0, min(float(along[-1]), FINGER_M + SHAFT_M), STEP_M)
+    return np.column_stack([np.interp(at, along, one) for one in axis.T])

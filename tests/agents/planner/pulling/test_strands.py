@@ -1,0 +1,100 @@
+"""Which strand is the tail: one curve with a gap, or a curve beside another strand; and what is not guessed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from agents.planner.config import PlannerConfig
+from agents.planner.curve import NoGraspError, curve_of, pixels
+from agents.planner.needle import NeedleAround
+from agents.planner.pulling.strands import Meant, strands_of
+from schemas.messages import EndSight, ThreadCandidate, ThreadCourse
+from tests.agents.planner import bench
+from tests.agents.planner.pulling.bench import BITE_MM, ENTRY_MM, path, threaded
+
+EXIT_MM = ENTRY_MM - np.array((BITE_MM, 0, 0))
+FAR_MM, FREE_MM = ENTRY_MM + np.array((30, 6, 0)), EXIT_MM + np.array((-15, 18, 0))
+EXIT_PX = np.array((479.5 + 1000 * EXIT_MM[0] / 80, 269.5))
+ENTRY_PX = EXIT_PX + np.array((1000 * BITE_MM / 80, 0))
+
+
+def found(thread, exit_pixel=None, needle=None, **meant):
+    return strands_of(thread, curve_of(thread), PlannerConfig(), Meant(exit_pixel, **meant), needle)
+
+
+def refused(*args, **rest):
+    with pytest.raises(NoGraspError) as error:
+        found(*args, **rest)
+    return str(error.value)
+
+
+def test_a_gap_in_one_curve_has_an_exit_and_an_entry_and_a_pixel_says_which():
+    told = found(threaded(30.0), EXIT_PX)
+    assert told.tail.length_m == pytest.approx(0.03, abs=5e-4)
+    assert not told.tail.at_least
+    np.testing.assert_allclose(1e3 * told.exit.point_camera, EXIT_MM, atol=0.3)
+    np.testing.assert_allclose(1e3 * told.entry.point_camera, ENTRY_MM, atol=0.3)
+    assert told.free_end.sight is EndSight.SEEN
+    assert told.standing == (told.entry.s, 1.0)
+    other = found(threaded(30.0), ENTRY_PX)
+    assert other.standing == (told.exit.s, 0.0)
+    assert "70 px from the pixel" in refused(threaded(30.0), EXIT_PX - (0, 70))
+
+
+def test_without_a_pixel_the_frame_before_the_needle_or_what_leaves_the_view_tells_and_nothing_is_guessed():
+    thread = threaded(30.0, loose_mm=30.0)
+    assert "which of both strands is the tail cannot be told: name the tail's exit by its pixel" in refused(thread)
+    before = found(thread, EXIT_PX)
+    at = {"exit_camera": before.exit.point_camera + 0.002, "entry_camera": before.entry.point_camera}
+    assert found(thread, **at).standing == before.standing
+    far = {"exit_camera": before.exit.point_camera + 0.02, "entry_camera": before.entry.point_camera}
+    assert "not seen where they were" in refused(thread, **far)
+    end = curve_of(thread).points(np.ones(1))
+    assert found(thread, needle=NeedleAround(end + 0.001, np.full(1, 0.001))).standing == before.standing
+    hidden = dataclasses.replace(thread, ends_hidden=np.array([False, True]))
+    assert found(hidden).standing == before.standing
+    assert "the tail cannot be told" in refused(dataclasses.replace(thread, ends_hidden=np.array([True, True])))
+
+
+def test_an_end_is_seen_or_hidden_or_out_of_view_or_may_lead_on():
+    def sight(**changes):
+        told = found(dataclasses.replace(threaded(30.0), **changes), EXIT_PX)
+        return told.free_end.sight, told.tail.at_least
+
+    assert sight() == (EndSight.SEEN, False)
+    assert sight(ends_hidden=np.array([True, False])) == (EndSight.HIDDEN, True)
+    assert sight(hidden=np.array([[0.0, 0.05]])) == (EndSight.HIDDEN, True)
+    course = ThreadCourse(np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([0.9, 1.0]), np.zeros((0, 2)))
+    assert sight(course=course) == (EndSight.HIDDEN, True)
+    assert found(threaded(40.0), EXIT_PX).free_end.sight is EndSight.OUT_OF_VIEW
+
+
+def test_what_an_instrument_hides_is_no_bite_of_tissue_nor_is_what_is_too_short_or_too_long():
+    thread = threaded(30.0)
+    gap = thread.unseen[0]
+    none = "no place is seen at which the thread passes through tissue"
+    assert none in refused(dataclasses.replace(thread, hidden=gap[None]), EXIT_PX)
+    assert none in refused(dataclasses.replace(thread, unseen=np.array([[gap[0], gap[0] + 0.01]])), EXIT_PX)
+    assert none in refused(dataclasses.replace(thread, unseen=np.array([[gap[0], gap[0] + 0.3]])), EXIT_PX)
+    assert "does not tell how well" in refused(bench.polyline((0, 0, 80), (20, 0, 80)), EXIT_PX)
+
+
+def candidate(*corners, thread):
+    """Another strand as perception tells it."""
+    points, _ = path(corners, 60)
+    left, right = pixels(curve_of(thread), 1e-3 * points)
+    return ThreadCandidate(0.9, left, right[::-1], 4.0, np.array([10, 10, 200]))
+
+
+def test_a_tail_beside_the_reconstructed_strand_is_measured_and_the_strand_to_pull_has_to_be_reconstructed():
+    standing = bench.known(bench.straight(ENTRY_MM, FAR_MM), 0.1, 0.1, 0.3)
+    both = dataclasses.replace(standing, other_threads=(candidate(FREE_MM, EXIT_MM, thread=standing),))
+    told = found(both, EXIT_PX)
+    assert 1e3 * told.tail.length_m == pytest.approx(np.hypot(15, 18), abs=2.0)
+    np.testing.assert_allclose(1e3 * told.exit.point_camera, EXIT_MM, atol=0.5)
+    assert (told.standing, told.exit.s, told.entry.s) == ((0.0, 1.0), None, 0.0)
+    # the same seen the other way round: the tail is what was reconstructed
+    tail = bench.known(bench.straight(FREE_MM, EXIT_MM), 0.1, 0.1, 0.3)
+    turned = dataclasses.replace(tail, other_threads=(candidate(ENTRY_MM, FAR_MM, thread=tail),))
+    assert "say that the other one is meant (suturegrasp prompt --pixel" in refused(turned, EXIT_PX)
