@@ -70,7 +70,7 @@ def threaded(
         jaw = np.asarray(jaw_mm, float)
         left = loose_mm - held_mm
         standing = [ENTRY_MM, jaw, jaw + left * np.array((0.9, 0.43, 0.0))]
-    points, long_mm = path([free, exit_mm, *standing], 400)
+    points, long_mm = path([free, exit_mm, *standing], 120)
     start, end = tail_mm / long_mm, (tail_mm + BITE_MM) / long_mm
     made = bench.polyline(*points, unseen=[(start, end)], **changes)
     made = bench.known(made, *deviations_mm)

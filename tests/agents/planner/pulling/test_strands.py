@@ -39,7 +39,7 @@ def test_a_gap_in_one_curve_has_an_exit_and_an_entry_and_a_pixel_says_which():
     assert told.standing == (told.entry.s, 1.0)
     other = found(threaded(30.0), ENTRY_PX)
     assert other.standing == (told.exit.s, 0.0)
-    assert "70 px from the pixel" in refused(threaded(30.0), EXIT_PX - (0, 70))
+    assert "px from the pixel that was named" in refused(threaded(30.0), EXIT_PX - (0, 70))
 
 
 def test_without_a_pixel_the_frame_before_the_needle_or_what_leaves_the_view_tells_and_nothing_is_guessed():

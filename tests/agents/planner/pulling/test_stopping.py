@@ -1,0 +1,82 @@
+"""Why a pull stops, each by what is seen: its tail, its free end, its strand, and where the jaws are."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from agents.planner.config import PlannerConfig
+from agents.planner.curve import curve_of
+from agents.planner.pulling.stopping import decide, straight
+from agents.planner.pulling.strands import Meant, strands_of
+from schemas.messages import EndSight, PullGrip, PullStop, TailLength
+from tests.agents.planner import bench
+from tests.agents.planner.pulling.bench import BITE_MM, ENTRY_MM, path, threaded
+
+CONFIG = PlannerConfig()
+EXIT_PX = np.array((479.5 + 1000 * (ENTRY_MM[0] - BITE_MM) / 80, 269.5))
+JAW_MM = ENTRY_MM + np.array((10.0, 2.0, 0.0))
+
+
+def seen(tail_mm=25.0, sight=EndSight.SEEN, deviation_mm=0.3):
+    thread = threaded(30.0)
+    told = strands_of(thread, curve_of(thread), CONFIG, Meant(EXIT_PX))
+    tail = TailLength(1e-3 * tail_mm, 1e-3 * deviation_mm, at_least=sight is not EndSight.SEEN)
+    return dataclasses.replace(told, tail=tail, free_end=dataclasses.replace(told.free_end, sight=sight))
+
+
+def grip(tail_mm=30.0, strand_mm=10.0):
+    entry = ENTRY_MM / 1e3
+    return PullGrip(JAW_MM / 1e3, entry, 1e-3 * strand_mm, 1e-4, TailLength(1e-3 * tail_mm, 3e-4, False), entry + 0.04)
+
+
+def away(mm):
+    return (ENTRY_MM + np.array((0.0, 0.0, -mm))) / 1e3
+
+
+@pytest.mark.parametrize(
+    ("strands", "gripped", "away_mm", "is_straight", "stop", "said"),
+    [
+        (seen(25.0), grip(), 15.0, True, None, "shortened by 5.0 mm where the jaws took 5.0"),
+        (seen(30.0), grip(), 9.0, False, None, "where the jaws took 0.0"),
+        (seen(20.4), grip(), 20.0, True, PullStop.REACHED, "20.0 mm were asked for"),
+        (seen(20.6), grip(), 19.4, True, None, ""),
+        (seen(27.0), grip(), 15.0, True, PullStop.TENSION, "it is held in the tissue"),
+        (seen(27.0), grip(), 15.0, False, PullStop.NOT_RUNNING, "slips through the jaws"),
+        (seen(27.0, deviation_mm=1.5), grip(), 15.0, True, None, ""),
+        (seen(25.0, EndSight.HIDDEN), grip(), 15.0, True, PullStop.END_UNSEEN, "is hidden: the tail is at least"),
+        (seen(25.0, EndSight.OUT_OF_VIEW), None, 15.0, True, PullStop.END_UNSEEN, "is out of view"),
+        (seen(27.0), None, 15.0, True, None, ""),
+    ],
+)
+def test_each_reason_to_stop_has_its_own_sentence(strands, gripped, away_mm, is_straight, stop, said):
+    verdict = decide(0.02, strands, gripped, away(away_mm), is_straight, CONFIG)
+    assert (verdict.stop, said in verdict.sentence) == (stop, True), verdict.sentence
+
+
+def test_the_free_end_stops_before_the_tissue_by_all_that_is_not_known_of_it():
+    for deviation_mm, stop in ((0.3, None), (1.2, PullStop.FREE_END_NEAR)):
+        assert decide(0.0055, seen(7.0, deviation_mm=deviation_mm), None, away(9), False, CONFIG).stop is stop
+
+
+def test_tissue_that_follows_the_jaws_counts_as_thread_that_does_not_run():
+    moved = seen(30.0)
+    entry = dataclasses.replace(moved.entry, point_camera=moved.entry.point_camera + np.array((0, 0, -0.005)))
+    verdict = decide(0.02, dataclasses.replace(moved, entry=entry), grip(), away(15.0), True, CONFIG)
+    assert verdict.stop is PullStop.TENSION
+
+
+def test_a_strand_is_straight_where_it_is_no_longer_than_the_way_to_the_jaws_or_is_not_seen_up_to_them():
+    def is_straight(jaw_mm, *corners):
+        free = ENTRY_MM + np.array((-24.0, 15.0, 0.0))
+        points, long_mm = path([free, ENTRY_MM - np.array((BITE_MM, 0, 0)), ENTRY_MM, *corners], 300)
+        at = np.linalg.norm(points - ENTRY_MM, axis=1).argmin() / 299
+        thread = bench.known(bench.polyline(*points, unseen=[(at - BITE_MM / long_mm, at)]), 0.1, 0.1, 0.3)
+        curve = curve_of(thread)
+        strands = strands_of(thread, curve, CONFIG, Meant(EXIT_PX))
+        return straight(thread, curve, strands, np.asarray(jaw_mm) / 1e3, CONFIG)
+
+    end, loop = ENTRY_MM + np.array((20.0, 0.0, 0.0)), ENTRY_MM + np.array((10.0, 8.0, 0.0))
+    assert is_straight(end, end)
+    assert not is_straight(end, loop, end)
+    assert is_straight(end + np.array((0, 0, -12.0)), loop, end), "nothing is seen of it up to the jaws"
