@@ -14,6 +14,7 @@ from schemas.messages import (
     GraspPlan,
     RobotState,
     SimulatorState,
+    Tail,
     ThreadObservations,
     ThreadReconstruction,
     TissueSurface,
@@ -141,6 +142,14 @@ _CHECK: dict[str, Rule] = {
     "sentence": Rule(ignored="the same in words"),
 }
 
+_TAIL: dict[str, Rule] = {
+    "tail.length_m": Rule(0.5, "mm", measures.metres_in_mm),
+    "tail.deviation_m": Rule(0.3, "mm", measures.metres_in_mm),
+    "ran_m": Rule(0.5, "mm", measures.metres_in_mm),
+    "travelled_m": Rule(0.5, "mm", measures.metres_in_mm),
+    "sentence": Rule(ignored="the same in words"),
+}
+
 _SURFACE: dict[str, Rule] = {
     "typical_depth": Rule(0.2, "mm", measures.depths_apart_mm, told=measures.cells_told),
     "depth": Rule(ignored="compared as `typical_depth`: single cells may be matched otherwise"),
@@ -170,6 +179,7 @@ TOLERANCES: dict[type, dict[str, Rule]] = {
     ThreadReconstruction: _RECONSTRUCTION,
     GraspPlan: _PLAN,
     GraspCheck: _CHECK,
+    Tail: _TAIL,
     RobotState: _ROBOT,
     SimulatorState: _FIELD,
 }

@@ -114,6 +114,7 @@ class Scene:
         matched: whether perception matches pixels, as the paper's method does.
         posterior: whether the reconstruction predicts how far it may be off.
         tracked: whether an instrument is looked for in the images.
+        pulled: whether thread is pulled through tissue.
     """
 
     middle_camera: Float64[np.ndarray, "3"] | None = None
@@ -122,6 +123,7 @@ class Scene:
     matched: bool = False
     posterior: bool = True
     tracked: bool = False
+    pulled: bool = False
 
 
 def space(scene: Scene, closer: float, without: tuple[str, ...] = ()) -> rrb.Spatial3DView:
@@ -256,6 +258,7 @@ def operate(scene: Scene) -> rrb.Vertical:
                 *([deviation(scene)] if scene.posterior else []),
                 shares(scene),
                 *([curves("tool", "tools: off their registration, and deviation, mm")] if scene.tracked else []),
+                *([curves("tail", "tail and what ran of it, mm")] if scene.pulled else []),
                 active_tab=0,
             ),
             rrb.Tabs(

@@ -57,6 +57,7 @@ from agents.viewer.session_mapping import (
     log_entities,
     said,
 )
+from agents.viewer.tail_mapping import tail_entities
 from agents.viewer.thread_mapping import (
     BACKDROP,
     camera_entities,
@@ -87,6 +88,7 @@ from schemas.messages import (
     Status,
     StereoCalibration,
     StereoFrame,
+    Tail,
     ThreadObservations,
     ThreadReconstruction,
     ThreadTrack,
@@ -149,7 +151,7 @@ class LiveMapping:
         self._made: dict[str, tuple[object, list[Entity]]] = {}
         self._observed: deque[ThreadObservations] = deque(maxlen=OBSERVED_MOST)
         self._considered, self._dataflow = Considered(), Dataflow()
-        self._matched = self._tracked = False
+        self._matched = self._tracked = self._pulled = False
         self._right_eye: RightEye | None = None
         self._to_shown = IN_LINE
 
@@ -162,6 +164,11 @@ class LiveMapping:
     def tracked(self) -> bool:
         """Whether an instrument is looked for in the images, as far as is known."""
         return self._tracked
+
+    @property
+    def pulled(self) -> bool:
+        """Whether thread is pulled through tissue."""
+        return self._pulled
 
     @property
     def rectified(self) -> bool:
@@ -200,6 +207,9 @@ class LiveMapping:
                 return judgement_entities(message)
             case GraspCheck():
                 return check_entities(message)
+            case Tail():
+                self._pulled = True
+                return tail_entities(message)
             case SimulatorState():
                 shape = message.knots.tobytes(), message.control_points_camera.tobytes()
                 truth = self._unless_same("truth", shape, lambda: truth_entities(message))

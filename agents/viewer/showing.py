@@ -133,7 +133,7 @@ class Showing:
             scene = replace(scene, middle_camera=middle, unit=unit_text(thread.camera.metres_per_unit))
         posterior = len(thread.posterior_s) > 0
         has = {"raw_images": not self._mapping.rectified, "matched": self._mapping.matched, "posterior": posterior}
-        has |= {"tracked": self._mapping.tracked}
+        has |= {"tracked": self._mapping.tracked, "pulled": self._mapping.pulled}
         if self._laid_out == has:
             return
         self._laid_out, self._scene = has, replace(scene, **has)

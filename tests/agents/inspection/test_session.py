@@ -82,7 +82,7 @@ def test_a_refused_goal_and_a_held_grasp_are_put_together(recording):
     assert refused.ended == "goal refused (thread_stale): the thread was seen 2000 ms ago"
     assert (held.outcome, held.ended) == ("held", "grasp held: caught at 50 %")
     (arming,) = held.armings
-    assert [event.phase for event in arming.events if event.phase] == list(messages.Phase)
+    assert [event.phase for event in arming.events if event.phase] == list(messages.Phase)[:5]
 
 
 def test_a_grasp_that_held_did_though_its_plan_is_armed_once_more_and_refused(a_session, tmp_path):

@@ -54,7 +54,8 @@ class Pulls(Drive):
     """A bridge before a camera, and a planner that tells of the tail with each frame, as long as it `measures`."""
 
     def __init__(self, *args: Any, **rest: Any) -> None:
-        self.measures, self.stop, self.tail_late = True, None, 0
+        self.stop: PullStop | None = None
+        self.measures, self.tail_late = True, 0
         super().__init__(*args, camera=0, **rest)
 
     def see(self) -> None:
@@ -85,7 +86,12 @@ class Pulls(Drive):
     def goes_on(self, name: str, *ways: Any, after: str = "p1", late: int = 10, **changes: Any) -> "Pulls":
         """By a plan from a frame that was taken so many turns ago."""
         self.run(20)
-        of = {"stamp": self.stamp(late), "waypoints": ways, "continues": after, "pull": told(2, **changes)}
+        of: dict[str, Any] = {
+            "stamp": self.stamp(late),
+            "waypoints": ways,
+            "continues": after,
+            "pull": told(2, **changes),
+        }
         self.publish(plan(name, **of))
         return self
 
@@ -98,7 +104,7 @@ def resting() -> Pulls:
 
 
 def refusal(drive: Pulls, bounds: PullBounds | None, *ways: Any, **changes: Any) -> tuple[str, str]:
-    values = {"waypoints": (*GRASPED, *ways), "pull": told()} | changes
+    values: dict[str, Any] = {"waypoints": (*GRASPED, *ways), "pull": told()} | changes
     drive.publish(plan("p1", stamp=drive.stamp(), **values))
     answer = drive.arm(pull=bounds)
     return answer.code, answer.reason

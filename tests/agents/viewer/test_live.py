@@ -80,14 +80,14 @@ def test_every_published_topic_is_shown_and_the_file_holds_what_each_tells(sessi
     for entity in (
         "/world/left/mask", "/world/right/mask", "/world/thread/regions", "/world/observations/points",
         "/world/plan/psm1/fingers", "/confidence", "/plan/report", "/robot/joints/psm1", "/operator/psm1/heartbeat",
-        "/replay/rate",
+        "/replay/rate", "/world/tail/psm1", "/lanes/psm1/tail",
     ):  # fmt: skip
         assert entity in rows, entity
     said = words(rows)
     for text in (
         "planner: nothing in reach", "operator/goal of psm1 at s = 0.400 from surgeon: refused (OFF_THREAD)",
         "phase reached slide", "simulator: grasp held", "the segmenter is slow", "capture at 30%, slide 9 mm",
-        "FAULT SWAPPED",
+        "FAULT SWAPPED", "tension: it is held in the tissue",
     ):  # fmt: skip
         assert text in said, text
     assert "NOTE SMALL" not in said
@@ -95,6 +95,7 @@ def test_every_published_topic_is_shown_and_the_file_holds_what_each_tells(sessi
     for side, image, media in (("left", frame.left, "image/jpeg"), ("right", frame.right, "image/png")):
         (row,) = rows[f"/world/{side}/image"]
         assert (bytes(row["EncodedImage:blob"][0]), row["EncodedImage:media_type"]) == (image.data, [media])
+    assert values(rows, "/tail/length_mm/psm1", "Scalars:scalars")[0] == pytest.approx([25.0, 24.02, 25.98, 20.0])
     health = {entity: values(rows, entity, "Scalars:scalars")[0] for entity in rows if entity.startswith("/health/")}
     assert health == {
         "/health/rate_hz/perception/perception\\/observations": [28.0],

@@ -1,6 +1,7 @@
 """A thread through a bite of tissue, 80 mm before the camera, in millimetres; pulled by geometry alone."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -165,7 +166,7 @@ class Field:
             if topic in kept:
                 kept[topic].append(decode(topic.message, entry.payload))
 
-    def ask(self, tail_m=0.02, pixel=(442.0, 269.5), name="g1"):
+    def ask(self, tail_m: Any = 0.02, pixel: Any = (442.0, 269.5), name="g1") -> Any:
         """The plan for a goal, and the answer to that."""
         header = CommandHeader(name, self.now_ns + 10**9, "bench")
         answer = self.steps.command(PULL_GOAL, PullGoal(header, "psm1", tail_m, pixel and np.array(pixel)))

@@ -1,6 +1,7 @@
 """A planner and a bridge that pull a thread together, in step and from images of it alone."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,9 @@ BASE = SIMULATED_BASES["psm1"]
 EXIT_PX = np.array((442.0, 269.5))
 
 
-def first(tail_m=0.02, thread=None, config=None, tissue=NOTHING_SEEN, reaches=None, pixel=EXIT_PX, **around):
+def first(
+    tail_m=0.02, thread=None, config=None, tissue=NOTHING_SEEN, reaches=None, pixel=EXIT_PX, **around: Any
+) -> Any:
     """The first segment of a pull."""
     reaches = reaches or reaches_of(psm.LARGE_NEEDLE_DRIVER, 0.32)
     home = compose(BASE, psm.forward(np.array([0.0, 0, 0.1, 0, 0, 0])))
@@ -86,11 +89,8 @@ def test_the_way_keeps_clear_of_needle_and_of_another_instrument():
     end, begun = free.way_end_camera, free.jaw_camera
     middle = begun + 0.5 * (end - begun)
     crossing = middle + np.linspace(-0.03, 0.03, 31)[:, None] * np.array((0.0, 1.0, 0.0))
-    for around in (
-        {"needle": NeedleAround(crossing, np.full(31, 0.0005))},
-        {"instruments": (crossing,)},
-    ):
-        plan = first(**around)
+    needle = NeedleAround(crossing, np.full(31, 0.0005))
+    for plan in (first(needle=needle), first(instruments=(crossing,))):
         other = plan.pull.grip.way_end_camera
         steps = np.linspace(0.0, 1.0, 50)[:, None]
         way = begun + steps * (other - begun)
