@@ -24,6 +24,8 @@ from shared.rigid_transforms import apply
 
 LETS_GO_RAD = 2.0 * FOLLOWING_JAW_RAD
 """A jaw that is told to be so far open is measured open by more than thread explains: it lags by half of it at most."""
+STAYS_M = 1e-3
+"""An arm that stays is so near to where it was: at either end as near as one has to come to have arrived, 0.5 mm."""
 BEFORE, AFTER = (Phase.APPROACH, Phase.CAPTURE, Phase.GRASP, Phase.PULL, Phase.RELEASE), (Phase.PULL, Phase.RELEASE)
 """What jaws that hold nothing may do, and those that hold thread."""
 MM = 1e3
@@ -58,8 +60,9 @@ class Pulling:
         """
         if why := self._out_of_order(plan):
             return why
+        tips = apply(planned_poses(planned, setup), np.array([[0.0, 0.0, FINGER_M]]))[:, 0]
         if lets_go_only(plan):
-            return None
+            return _drags(tips, _told_closed(planned, setup))
         bounds = self._bounds
         if bounds is None or self._entry_camera is None:
             return Refusal(Code.PULL_BOUNDS, "nobody has armed a pull, or its plan does not tell where the entry is")
@@ -68,7 +71,6 @@ class Pulling:
         if off_m > drift_m:
             off = "the entry is not told of" if entry is None else f"the entry is {MM * off_m:.1f} mm from where it was"
             return Refusal(Code.PULL_REGION, f"{off}, and {MM * drift_m:g} mm are allowed: arm again")
-        tips = apply(planned_poses(planned, setup), np.array([[0.0, 0.0, FINGER_M]]))[:, 0]
         closed = self._closed(planned, setup)
         from_entry_m = np.linalg.norm(tips - self._entry_camera, axis=1)
         if closed.any() and (farthest_m := float(from_entry_m[closed].max())) > bounds.radius_m:
@@ -123,7 +125,7 @@ class Pulling:
     def _closed(self, planned: Trajectory, setup: Setup) -> Bool[np.ndarray, "n"]:
         """In which samples the jaws may hold thread."""
         grasped = next((stop.sample for stop in planned.stops if stop.phase is Phase.CAPTURE), 0)
-        closed = planned.jaw_rad - setup.jaw.told_rad < LETS_GO_RAD
+        closed = _told_closed(planned, setup)
         if not self.holds:
             closed[:grasped] = False
         return closed
@@ -168,6 +170,22 @@ def lets_go_only(plan: GraspPlan) -> bool:
 def planned_poses(planned: Trajectory, setup: Setup) -> Float64[np.ndarray, "n 4 4"]:
     """`T_camera_tool` of every sample of a motion."""
     return setup.T_camera_base @ setup.kinematics.forward(planned.joints)
+
+
+def _told_closed(planned: Trajectory, setup: Setup) -> Bool[np.ndarray, "n"]:
+    """In which samples the jaw is told to be less open than lets go for certain."""
+    return planned.jaw_rad - setup.jaw.told_rad < LETS_GO_RAD
+
+
+def _drags(tips: Float64[np.ndarray, "n 3"], closed: Bool[np.ndarray, "n"]) -> Refusal | None:
+    """Why jaws that are to let go would take thread along instead; None where they open before they move."""
+    if closed[-1]:
+        return Refusal(Code.PULL_ORDER, "jaws that are to let go would not open")
+    if (dragged_m := _travelled(tips, closed)) > STAYS_M:
+        return Refusal(
+            Code.PULL_ORDER, f"jaws that are to let go would move by {MM * dragged_m:.1f} mm before they open"
+        )
+    return None
 
 
 def _travelled(tips: Float64[np.ndarray, "n 3"], closed: Bool[np.ndarray, "n"]) -> float:

@@ -190,6 +190,7 @@ PLACES = {
     "planner": (6, 2),
     "planner/plan": (4, 2),
     "planner/check": (5, 2.6),
+    "planner/tail": (3.4, 1.9),
     "operator": (4, 3),
     "operator/heartbeat": (3, 2.7),
     "robot_bridge": (2, 2),

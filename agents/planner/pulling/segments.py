@@ -42,6 +42,7 @@ from schemas.messages import (
     Waypoint,
 )
 from schemas.messages.pulling import SIGMAS_95
+from shared.camera import project
 from shared.kinematics.psm import FINGER_M
 
 FROM_ENTRY_M = tuple(FINGER_M * np.arange(1.0, 3.25, 0.5))
@@ -153,6 +154,13 @@ def _grasped(
     Raises:
         NoGraspError: where there is none.
     """
+    if strands.standing is None:
+        pixel, _ = project(curve.camera, strands.entry.point_camera[None])
+        u, v = np.rint(pixel[0]).astype(int)
+        raise NoGraspError(
+            "the strand to pull is seen and not reconstructed, for the tail is taken for the thread: say that the "
+            f"other one is meant (suturegrasp prompt --pixel {u} {v}), then ask again"
+        )
     entry, far = strands.standing
     long_m = abs(far - entry) * curve.length_m
     best: GraspPlan | None = None
@@ -192,7 +200,7 @@ def _pulling(
     to_grasp = tuple(waypoint for waypoint in grasp.waypoints if waypoint.phase is not Phase.RETREAT)
     T_grasp, depth_m = to_grasp[-1].T_camera_tool, grasp.depth_m or 0.0
     way_end = clear_ways(T_grasp, entry, depth_m, curve, strands, arm, config, around)
-    between = np.linspace(strands.standing[0], s, SAMPLES)
+    between = np.linspace(strands.entry.s or 0.0, s, SAMPLES)
     covariance = thread_covariance(thread, curve, between)
     assert covariance is not None  # noqa: S101 - strands are of a thread that tells it
     strand = tail_length(curve.points(between), covariance, config.correlation_m)

@@ -89,6 +89,8 @@ def straight(
     config: PlannerConfig,
 ) -> bool:
     """Whether the strand from the entry to the jaws is no longer than the way; also where it is not seen so far."""
+    if strands.standing is None:
+        return True
     s = np.linspace(*strands.standing, 4 * SAMPLES)
     points = curve.points(s)
     off_m = np.linalg.norm(points - jaw_camera, axis=1)

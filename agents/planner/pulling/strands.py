@@ -2,8 +2,9 @@
 
 Tissue hides a few millimetres of the thread. Depending on its course a reconstruction is one curve with an unseen gap,
 or the curve of one strand, with the other one among its `other_threads`. Either way two ends face each other across the
-tissue. One of them is the tail's exit, the other the standing strand's entry. Which is which is told by a pixel of the
-user's, by the frame before, by the needle, or by which far end is seen; where none of these tells, nothing is guessed.
+tissue. While jaws hide the standing strand the tail alone may be left, which ends where its exit was a frame ago. One
+of the ends is the tail's exit, the other the standing strand's entry. Which is which is told by a pixel of the user's,
+by the frame before, by the needle, or by which far end is seen; where none of these tells, nothing is guessed.
 """
 
 from collections.abc import Iterator
@@ -46,14 +47,15 @@ class Strands:
 
     Fields:
         tail: from the free end to the exit.
-        standing: shares of the reconstructed thread's length at the entry and at the strand's other end.
+        standing: shares of the reconstructed thread's length at the entry and at the strand's other end; None where
+            that strand is not what was reconstructed.
     """
 
     free_end: StrandEnd
     exit: StrandEnd
     entry: StrandEnd
     tail: TailLength
-    standing: tuple[float, float]
+    standing: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class _Bite:
     """One way to take a gap: ends on the reconstructed thread, or those of another strand.
 
     Fields:
-        standing: as in `Strands`; None where the strand to pull is the other one, which is not reconstructed.
+        standing: as in `Strands`.
         far: the standing strand's other end.
         points, covariance: of the tail, from its free end to its exit.
     """
@@ -86,21 +88,14 @@ def strands_of(
 
     Raises:
         NoGraspError: where the thread passes through no tissue that is seen, or which strand is the tail cannot be
-            told, or the strand to pull is not the one that is reconstructed.
+            told.
     """
     if thread_covariance(thread, curve, np.zeros(1)) is None:
         raise NoGraspError("the reconstruction does not tell how well it knows the thread, so no tail can be measured")
-    bites = [*_on_one_curve(thread, curve), *_beside_another(thread, curve)]
+    bites = [*_on_one_curve(thread, curve), *_beside_another(thread, curve)] or [*_alone(thread, curve, meant, config)]
     if not bites:
         raise NoGraspError("no place is seen at which the thread passes through tissue, so it has no exit to pull from")
     bite = _meant(bites, curve, config, meant, needle)
-    if bite.standing is None:
-        pixel, _ = project(curve.camera, bite.entry.point_camera[None])
-        u, v = np.rint(pixel[0]).astype(int)
-        raise NoGraspError(
-            "the strand to pull is seen and not reconstructed, for the tail is taken for the thread: say that the "
-            f"other one is meant (suturegrasp prompt --pixel {u} {v}), then ask again"
-        )
     depth_m = float(np.mean([bite.free_end.point_camera[2], bite.exit.point_camera[2]]))
     hidden = bite.free_end.sight is not EndSight.SEEN
     tail = tail_length(
@@ -159,6 +154,23 @@ def _beside_another(thread: ThreadReconstruction, curve: ThreadCurve) -> Iterato
             yield _Bite(far, there, here, tips[-1 - mine], (s_here, 1.0 - s_here), points[order], covariance[order])
             order = slice(None, None, -1) if mine == 0 else slice(None)
             yield _Bite(tips[-1 - mine], here, there, far, None, own[order], own_covariance[order])
+
+
+def _alone(thread: ThreadReconstruction, curve: ThreadCurve, meant: Meant, config: PlannerConfig) -> Iterator[_Bite]:
+    """A tail that ends where its exit was, and nearer to that than to where the entry was."""
+    if meant.exit_camera is None or meant.entry_camera is None:
+        return
+    s = np.linspace(0.0, 1.0, SAMPLES)
+    points, covariance = curve.points(s), thread_covariance(thread, curve, s)
+    assert covariance is not None  # noqa: S101 - looked at before
+    for mine in (0, -1):
+        off_m = float(np.linalg.norm(points[mine] - meant.exit_camera))
+        if off_m <= min(config.goal_within_m, float(np.linalg.norm(points[mine] - meant.entry_camera))):
+            here = replace(_end(thread, curve, float(s[mine])), sight=EndSight.SEEN)
+            entry = StrandEnd(meant.entry_camera, here.covariance, EndSight.HIDDEN)
+            order = slice(None, None, -1) if mine == 0 else slice(None)
+            tip = _end(thread, curve, float(s[-1 - mine]))
+            yield _Bite(tip, here, entry, entry, None, points[order], covariance[order])
 
 
 def _meant(

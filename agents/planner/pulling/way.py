@@ -166,6 +166,8 @@ def _counts(
     config: PlannerConfig,
 ) -> Bool[np.ndarray, "n"]:
     """What thread is in the way: all but what is held, and the strand behind the jaws as far as they take it along."""
+    if strands.standing is None:
+        return np.ones(len(s), bool)
     entry, far = strands.standing
     standing = (s >= min(entry, far)) & (s <= max(entry, far))
     held = s[standing][np.argmin(np.linalg.norm(points[standing] - jaw_camera, axis=1))] if standing.any() else entry

@@ -33,6 +33,7 @@ GRASPED = (
     waypoint((20, 6, 75), 0.0, Phase.GRASP, 0.4),
 )
 OPENED = (waypoint((24, 6, 75), 1.0, Phase.RELEASE, 0.4), waypoint((24, 6, 65), 1.0, Phase.RELEASE, 0.4))
+"""Where the first segment of most tests ends."""
 LENGTH = TailLength(0.03, 0.0005, at_least=False)
 
 
@@ -73,6 +74,14 @@ class Pulls(Drive):
         answer = self.arm(pull=bounds)
         assert answer.code == "", answer
         return self
+
+    @property
+    def opens(self) -> tuple[Any, ...]:
+        """What lets go where the tool is, and goes back along the fingers."""
+        here = self.states[-1].T_camera_base @ self.states[-1].T_base_tool
+        back = here.copy()
+        back[:3, 3] -= 0.01 * here[:3, 2]
+        return tuple(dataclasses.replace(OPENED[0], T_camera_tool=T) for T in (here, back))
 
     def until_it_rests(self) -> "Pulls":
         begun = len(self.events)
@@ -116,7 +125,7 @@ def test_a_pull_rests_with_the_thread_held_goes_on_by_the_next_plan_and_lets_go_
     assert (resting.ended, resting.events[-1].plan_id) == ((RESTS, ""), "p2")
     moved = resting.states[-1].T_base_tool[:3, 3] - closed.T_base_tool[:3, 3]
     assert np.linalg.norm(moved) == pytest.approx(0.002, abs=2e-4)
-    resting.goes_on("p3", *OPENED, after="p2", last=True).until_it_rests()
+    resting.goes_on("p3", *resting.opens, after="p2", last=True).until_it_rests()
     assert resting.ended == (FINISHED, "")
     assert resting.states[-1].jaw_rad == pytest.approx(1.0, abs=0.01)
     assert {event.arming_id for event in resting.events} == {"arming-1"}
@@ -161,6 +170,8 @@ def test_a_pull_outside_of_its_bounds_or_out_of_order_is_not_armed(bounds, ways,
         ((pulled(25),), {"entry": None}, "pull_region", "the entry is not told of"),
         ((*GRASPED, pulled(24)), {}, "pull_order", "the jaws hold thread"),
         ((pulled(25), *OPENED), {}, "pull_order", "lets go and does more"),
+        ((*OPENED[1:], OPENED[1]), {"last": True}, "pull_order", "6.0 mm before they open"),
+        ((waypoint((24, 6, 75), 0.1, Phase.RELEASE, 0.4),), {"last": True}, "pull_order", "would not open"),
         ((pulled(25),), {"late": 60}, "segment", "a frame of before the last one ended"),
     ],
 )
@@ -236,7 +247,7 @@ def test_the_planners_word_ends_a_segment_where_it_is_and_the_jaws_may_let_go_fr
     # at 5 mm/s until the next frame, and down to rest within half a second
     assert went_m < 0.005 * (0.05 + 0.5)
     assert stands_still(drive, 5)
-    drive.goes_on("p2", *OPENED, last=True).until_it_rests()
+    drive.goes_on("p2", *drive.opens, last=True).until_it_rests()
     assert drive.ended == (FINISHED, "")
 
 
@@ -244,12 +255,8 @@ def test_jaws_let_go_after_a_hold_without_bounds_from_where_they_are_and_are_not
     resting.hold()
     assert resting.ended == (HELD, "hold_command")
     resting.run(10)
-    here = resting.bridge._stands.setup.T_camera_base @ resting.states[-1].T_base_tool
-    back = here.copy()
-    back[:3, 3] -= 0.01 * here[:3, 2]
-    opens = tuple(dataclasses.replace(OPENED[0], T_camera_tool=T) for T in (here, back))
     nothing = told(last=True, tail_m=None, tail=None, free_end=None, exit=None, entry=None, stop=PullStop.LET_GO)
-    resting.publish(plan("p9", stamp=resting.stamp(), waypoints=opens, pull=nothing))
+    resting.publish(plan("p9", stamp=resting.stamp(), waypoints=resting.opens, pull=nothing))
     assert resting.arm("p9").code == ""
     for _ in range(1500):
         resting.run(1)

@@ -97,4 +97,18 @@ def test_a_tail_beside_the_reconstructed_strand_is_measured_and_the_strand_to_pu
     # the same seen the other way round: the tail is what was reconstructed
     tail = bench.known(bench.straight(FREE_MM, EXIT_MM), 0.1, 0.1, 0.3)
     turned = dataclasses.replace(tail, other_threads=(candidate(ENTRY_MM, FAR_MM, thread=tail),))
-    assert "say that the other one is meant (suturegrasp prompt --pixel" in refused(turned, EXIT_PX)
+    told = found(turned, EXIT_PX)
+    assert (told.standing, told.exit.s) == (None, 1.0)
+    assert told.tail.length_m == pytest.approx(1e-3 * np.hypot(15, 18))
+
+
+def test_a_tail_that_is_left_alone_is_known_by_where_its_exit_was_and_the_standing_strand_is_not_taken_for_it():
+    tail = bench.known(bench.straight(FREE_MM, EXIT_MM), 0.1, 0.1, 0.3)
+    were = {"exit_camera": EXIT_MM / 1e3 + 0.001, "entry_camera": ENTRY_MM / 1e3}
+    told = found(tail, **were)
+    assert told.tail.length_m == pytest.approx(1e-3 * np.hypot(15, 18))
+    assert (told.standing, told.entry.sight) == (None, EndSight.HIDDEN)
+    standing = bench.known(bench.straight(ENTRY_MM, FAR_MM), 0.1, 0.1, 0.3)
+    none = "no place is seen at which the thread passes through tissue"
+    assert none in refused(standing, **were)
+    assert none in refused(tail)
