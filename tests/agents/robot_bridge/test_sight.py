@@ -135,7 +135,8 @@ def test_a_long_motion_rests_before_contact_and_goes_on_by_a_plan_from_a_fresh_i
     drive = at_the_end_of_a_segment()
     joints = drive.states[-1].joints
     assert (abs(drive.run(30).states[-1].joints - joints) < 1e-9).all(), "it rests"
-    drive.publish(plan("p1+", stamp=drive.stamp(), continues="p1"))
+    # a frame takes a while to become a plan
+    drive.publish(plan("p1+", stamp=drive.stamp(10), continues="p1"))
     end = drive.run(900).events[-1]
     assert (end.kind, end.arming_id, end.plan_id) == (ExecutionKind.FINISHED, "arming-1", "p1+")
 
