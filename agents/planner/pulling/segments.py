@@ -15,14 +15,14 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.planner.captures import ArmView
+from agents.planner.captures import AS_LIKELY, ArmView
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import NoGraspError, ThreadCurve, curve_of
+from agents.planner.curve import NoGraspError, curve_of
 from agents.planner.plan import plan_grasp
 from agents.planner.pulling.stopping import MM, NEAREST_M, Verdict, decide, in_words, straight
 from agents.planner.pulling.strands import SAMPLES, Meant, Strands, strands_of
 from agents.planner.pulling.tail import tail_length
-from agents.planner.pulling.way import Around, clear_until, clear_ways, jaw_of, lift_of, moved
+from agents.planner.pulling.way import Around, Situation, clear_until, clear_way_end, jaw_of, lift_of, moved
 from agents.planner.wedge import thread_covariance
 from schemas.messages import (
     CommandHeader,
@@ -65,11 +65,12 @@ def begin(
             raise NoGraspError(least)
         curve = curve_of(thread)
         strands = strands_of(thread, curve, config, Meant(exit_pixel=goal.exit_pixel), around.needle)
+        here = Situation(thread, curve, strands, arm, config, around)
         verdict = decide(goal.tail_m, strands, None, np.zeros(3), False, config)
         if verdict.stop is not None:
             raise NoGraspError(verdict.sentence)
         pull = _pull(goal.tail_m, 1, strands, None, verdict.sentence)
-        return _grasped(name, goal.header, goal.arm, pull, thread, curve, strands, arm, config, around)
+        return _grasped(name, goal.header, goal.arm, pull, here)
     except NoGraspError as error:
         return _rejected(name, goal.arm, goal.header.id, thread, str(error))
 
@@ -85,7 +86,7 @@ def go_on(
         strands = strands_of(thread, curve, config, meant_by(was), around.needle)
     except NoGraspError:
         return None
-    depth_m = plan.depth_m or 0.0
+    here, depth_m = Situation(thread, curve, strands, arm, config, around), plan.depth_m or 0.0
     jaw = jaw_of(arm.T_camera_tool, depth_m)
     is_straight = was.grip is not None and straight(thread, curve, strands, jaw, config)
     verdict = decide(was.tail_m, strands, was.grip, jaw, is_straight, config)
@@ -98,24 +99,14 @@ def go_on(
     if was.grip is None:
         try:
             header = CommandHeader(plan.goal_id, 0, "planner")
-            again = _grasped(named, header, plan.arm, pull, thread, curve, strands, arm, config, around)
+            again = _grasped(named, header, plan.arm, pull, here)
         except NoGraspError as error:
             return _over(plan, named, thread, arm, config, pull, Verdict(PullStop.NO_WAY, str(error)))
         return replace(again, continues=plan.plan_id)
-    ahead = clear_until(
-        arm.T_camera_tool,
-        was.grip.way_end_camera,
-        strands.entry.point_camera,
-        depth_m,
-        curve,
-        strands,
-        arm,
-        config,
-        around,
-    )
+    ahead = clear_until(arm.T_camera_tool, was.grip.way_end_camera, depth_m, here)
     run_m = min(strands.tail.length_m - was.tail_m, config.pull_segment_m)
-    here_m = float(np.linalg.norm(jaw - was.grip.entry_camera))
-    target = _target(jaw, ahead, was.grip.entry_camera, max(here_m, _surely_m(was.grip)) + run_m, config)
+    away_m = max(float(np.linalg.norm(jaw - was.grip.entry_camera)), _surely_m(was.grip)) + run_m
+    target = _target(jaw, ahead, was.grip.entry_camera, away_m, config)
     if np.linalg.norm(target - jaw) < NEAREST_M:
         used = f"the way is used up, so that the jaws let go and grasp anew: {in_words(strands.tail)}"
         return _over(plan, named, thread, arm, config, pull, Verdict(None, used))
@@ -137,44 +128,35 @@ def _pull(tail_m: float, segment: int, strands: Strands, grip: PullGrip | None, 
     return Pull(tail_m, segment, *seen, grip, None, last=False, stop=None, sentence=sentence)
 
 
-def _grasped(
-    name: str,
-    header: CommandHeader,
-    arm_name: str,
-    pull: Pull,
-    thread: ThreadReconstruction,
-    curve: ThreadCurve,
-    strands: Strands,
-    arm: ArmView,
-    config: PlannerConfig,
-    around: Around,
-) -> GraspPlan:
+def _grasped(name: str, header: CommandHeader, arm_name: str, pull: Pull, here: Situation) -> GraspPlan:
     """The likeliest direct grasp of the standing strand from which a clear way leads on, and the first pull there.
 
     Raises:
         NoGraspError: where there is none.
     """
-    if strands.standing is None:
-        pixel, _ = project(curve.camera, strands.entry.point_camera[None])
+    curve, config, around = here.curve, here.config, here.around
+    if here.strands.standing is None:
+        pixel, _ = project(curve.camera, here.entry_camera[None])
         u, v = np.rint(pixel[0]).astype(int)
         raise NoGraspError(
             "the strand to pull is seen and not reconstructed, for the tail is taken for the thread: say that the "
             f"other one is meant (suturegrasp prompt --pixel {u} {v}), then ask again"
         )
-    entry, far = strands.standing
+    entry, far = here.strands.standing
     long_m = abs(far - entry) * curve.length_m
     best: GraspPlan | None = None
     why = f"the standing strand is {MM * long_m:.0f} mm long, too short to be grasped clear of its entry"
     for from_entry_m in (one for one in FROM_ENTRY_M if one < long_m - config.grasp_arc_m):
-        s = entry + (1.0 if far > entry else -1.0) * from_entry_m / curve.length_m
-        goal = GraspGoal(header, arm_name, Policy.DIRECT, float(s), None, None, attempts=1)
-        grasp = plan_grasp(goal, thread, arm, config, around.tissue, needle=around.needle)
-        if grasp.status is not Status.OK or (grasp.thread is not None and grasp.thread.obstructed):
-            why = grasp.reason or (grasp.thread.obstructed if grasp.thread is not None else "")
+        s = float(entry + (1.0 if far > entry else -1.0) * from_entry_m / curve.length_m)
+        goal = GraspGoal(header, arm_name, Policy.DIRECT, s, None, None, attempts=1)
+        grasp = plan_grasp(goal, here.thread, here.arm, config, around.tissue, needle=around.needle)
+        obstructed = grasp.thread.obstructed if grasp.thread is not None else ""
+        if grasp.status is not Status.OK or obstructed:
+            why = grasp.reason or obstructed
             continue
-        if best is not None and grasp.probability <= best.probability + 0.5 / config.samples:
+        if best is not None and grasp.probability <= best.probability + AS_LIKELY:
             continue
-        made = _pulling(grasp, float(s), pull, thread, curve, strands, arm, config, around)
+        made = _pulling(grasp, s, pull, here)
         if made is None:
             why = "no way leads on from the standing strand clear of tissue, thread, needle and instruments"
             continue
@@ -184,26 +166,16 @@ def _grasped(
     return best
 
 
-def _pulling(
-    grasp: GraspPlan,
-    s: float,
-    pull: Pull,
-    thread: ThreadReconstruction,
-    curve: ThreadCurve,
-    strands: Strands,
-    arm: ArmView,
-    config: PlannerConfig,
-    around: Around,
-) -> GraspPlan | None:
+def _pulling(grasp: GraspPlan, s: float, pull: Pull, here: Situation) -> GraspPlan | None:
     """A grasp with the first pull from there; None where no way gains anything."""
-    entry = strands.entry.point_camera
+    strands, config, entry = here.strands, here.config, here.entry_camera
     to_grasp = tuple(waypoint for waypoint in grasp.waypoints if waypoint.phase is not Phase.RETREAT)
     T_grasp, depth_m = to_grasp[-1].T_camera_tool, grasp.depth_m or 0.0
-    way_end = clear_ways(T_grasp, entry, depth_m, curve, strands, arm, config, around)
+    way_end = clear_way_end(T_grasp, depth_m, here)
     between = np.linspace(strands.entry.s or 0.0, s, SAMPLES)
-    covariance = thread_covariance(thread, curve, between)
+    covariance = thread_covariance(here.thread, here.curve, between)
     assert covariance is not None  # noqa: S101 - strands are of a thread that tells it
-    strand = tail_length(curve.points(between), covariance, config.correlation_m)
+    strand = tail_length(here.curve.points(between), covariance, config.correlation_m)
     left_m = strands.tail.length_m - (pull.tail_m or 0.0)
     if way_end is None or np.linalg.norm(way_end - entry) < strand.length_m + min(left_m, config.pull_segment_m):
         return None

@@ -22,6 +22,7 @@ from agents.planner.jaws import SHAFT_M, SHAFT_RADIUS_M, aside_pass, clearances,
 from agents.planner.needle import NeedleAround
 from agents.planner.pulling.strands import Strands
 from agents.planner.tissue_clearance import SeenTissue
+from schemas.messages import ThreadReconstruction
 from shared.kinematics.psm import FINGER_M
 
 STEP_M, POINTS = 0.001, 400
@@ -43,6 +44,23 @@ class Around:
     instruments: Sequence[Float64[np.ndarray, "k 3"]] = ()
 
 
+@dataclass(frozen=True)
+class Situation:
+    """What a segment of a pull is planned in: the thread as it is seen, the arm, and what is around both."""
+
+    thread: ThreadReconstruction
+    curve: ThreadCurve
+    strands: Strands
+    arm: ArmView
+    config: PlannerConfig
+    around: Around
+
+    @property
+    def entry_camera(self) -> Float64[np.ndarray, "3"]:
+        """Where the standing strand goes into the tissue."""
+        return self.strands.entry.point_camera
+
+
 def jaw_of(T_camera_tool: Float64[np.ndarray, "*n 4 4"], depth_m: float) -> Float64[np.ndarray, "*n 3"]:
     """Where thread lies between closed fingers whose tips reach so far beyond it."""
     return T_camera_tool[..., :3, 3] + (FINGER_M - depth_m) * T_camera_tool[..., :3, 2]
@@ -57,27 +75,18 @@ def moved(
     return poses
 
 
-def clear_ways(
-    T_camera_tool: Float64[np.ndarray, "4 4"],
-    entry_camera: Float64[np.ndarray, "3"],
-    depth_m: float,
-    curve: ThreadCurve,
-    strands: Strands,
-    arm: ArmView,
-    config: PlannerConfig,
-    around: Around,
+def clear_way_end(
+    T_camera_tool: Float64[np.ndarray, "4 4"], depth_m: float, here: Situation
 ) -> Float64[np.ndarray, "3"] | None:
     """Where the best way from a grasp ends, as a place of the jaws after the lift; None where none leads anywhere."""
-    lift_m = lift_of(T_camera_tool, depth_m, config)
-    start = moved(T_camera_tool, lift_m)
-    if not bool(np.all(arm.reachable(start[None]))):
+    start = moved(T_camera_tool, lift_of(T_camera_tool, depth_m, here.config))
+    if not bool(np.all(here.arm.reachable(start[None]))):
         return None
-    jaw = jaw_of(start, depth_m)
+    jaw, entry = jaw_of(start, depth_m), here.entry_camera
     best, best_m = None, BETTER_M
-    for direction in _directions(jaw - entry_camera, jaw):
-        end = jaw + direction * config.pull_reach_m
-        clear = clear_until(start, end, entry_camera, depth_m, curve, strands, arm, config, around)
-        gained_m = _from(clear, entry_camera) - _from(jaw, entry_camera)
+    for direction in _directions(jaw - entry, jaw):
+        clear = clear_until(start, jaw + direction * here.config.pull_reach_m, depth_m, here)
+        gained_m = _from(clear, entry) - _from(jaw, entry)
         if gained_m > best_m:
             best, best_m = clear, gained_m + BETTER_M
     return best
@@ -91,28 +100,19 @@ def lift_of(
 
 
 def clear_until(
-    T_camera_tool: Float64[np.ndarray, "4 4"],
-    end_camera: Float64[np.ndarray, "3"],
-    entry_camera: Float64[np.ndarray, "3"],
-    depth_m: float,
-    curve: ThreadCurve,
-    strands: Strands,
-    arm: ArmView,
-    config: PlannerConfig,
-    around: Around,
+    T_camera_tool: Float64[np.ndarray, "4 4"], end_camera: Float64[np.ndarray, "3"], depth_m: float, here: Situation
 ) -> Float64[np.ndarray, "3"]:
     """How far the jaws can go straight towards a place from where they are: a place of theirs, theirs now at least."""
-    jaw = jaw_of(T_camera_tool, depth_m)
+    jaw, entry = jaw_of(T_camera_tool, depth_m), here.entry_camera
     long_m = _from(end_camera, jaw)
     share = np.arange(1, int(long_m / STEP_M) + 1) * STEP_M / max(long_m, STEP_M)
     if not len(share):
         return jaw
     poses = moved(T_camera_tool, share[:, None] * (end_camera - jaw))
     jaws = jaw_of(poses, depth_m)
-    off_m = np.linalg.norm(jaws - entry_camera, axis=1)
-    open_ = (off_m <= config.pull_reach_m) & (np.diff(off_m, prepend=_from(jaw, entry_camera)) >= 0)
-    open_ &= np.asarray(arm.reachable(poses), bool)
-    open_ &= _clear_of_all(poses, jaws, curve, strands, arm, config, around)
+    off_m = np.linalg.norm(jaws - entry, axis=1)
+    open_ = (off_m <= here.config.pull_reach_m) & (np.diff(off_m, prepend=_from(jaw, entry)) >= 0)
+    open_ &= np.asarray(here.arm.reachable(poses), bool) & _clear_of_all(poses, jaws, here)
     far = len(open_) if open_.all() else int(np.argmin(open_))
     return jaws[far - 1] if far else jaw
 
@@ -131,19 +131,15 @@ def _directions(away: Float64[np.ndarray, "3"], jaw_camera: Float64[np.ndarray, 
 
 
 def _clear_of_all(
-    poses: Float64[np.ndarray, "k 4 4"],
-    jaws: Float64[np.ndarray, "k 3"],
-    curve: ThreadCurve,
-    strands: Strands,
-    arm: ArmView,
-    config: PlannerConfig,
-    around: Around,
+    poses: Float64[np.ndarray, "k 4 4"], jaws: Float64[np.ndarray, "k 3"], here: Situation
 ) -> Bool[np.ndarray, "k"]:
-    instrument = instrument_at(poses, np.full(len(poses), np.radians(config.closed_deg)), arm.T_camera_base)
+    config, around = here.config, here.around
+    closed = np.full(len(poses), np.radians(config.closed_deg))
+    instrument = instrument_at(poses, closed, here.arm.T_camera_base)
     s = np.linspace(0.0, 1.0, POINTS)
-    points = curve.points(s)
+    points = here.curve.points(s)
     clear = np.ones(len(poses), bool)
-    counts = points[_counts(s, points, jaws[0], curve, strands, config)]
+    counts = points[_counts(s, points, jaws[0], here)]
     if len(counts):
         clear &= clearances(instrument, counts).min(axis=1) >= config.thread_radius_m + config.thread_clear_m
     if around.needle is not None:
@@ -161,18 +157,17 @@ def _counts(
     s: Float64[np.ndarray, "n"],
     points: Float64[np.ndarray, "n 3"],
     jaw_camera: Float64[np.ndarray, "3"],
-    curve: ThreadCurve,
-    strands: Strands,
-    config: PlannerConfig,
+    here: Situation,
 ) -> Bool[np.ndarray, "n"]:
     """What thread is in the way: all but what is held, and the strand behind the jaws as far as they take it along."""
-    if strands.standing is None:
+    if here.strands.standing is None:
         return np.ones(len(s), bool)
-    entry, far = strands.standing
+    entry, far = here.strands.standing
     standing = (s >= min(entry, far)) & (s <= max(entry, far))
     held = s[standing][np.argmin(np.linalg.norm(points[standing] - jaw_camera, axis=1))] if standing.any() else entry
-    behind_m = (s - held) * curve.length_m * (1.0 if far > entry else -1.0)
-    return (behind_m < -config.grasp_arc_m) | (behind_m > config.pull_reach_m + config.grasp_arc_m)
+    behind_m = (s - held) * here.curve.length_m * (1.0 if far > entry else -1.0)
+    with_jaws_m = here.config.grasp_arc_m
+    return (behind_m < -with_jaws_m) | (behind_m > here.config.pull_reach_m + with_jaws_m)
 
 
 def _from(a: Float64[np.ndarray, "3"], b: Float64[np.ndarray, "3"]) -> float:
