@@ -76,6 +76,9 @@ UNSENT = "nothing was sent: this is a dry run (dry_run of the arm's configuratio
 HELD_MEANWHILE = Refusal(
     Code.HOLD_COMMAND, "somebody said hold since whoever asks last heard of the arm: look, then ask again"
 )
+LEFT_HOLDING = Refusal(
+    Code.PULL_ORDER, "the jaws hold thread since a pull was held: let go first (suturegrasp pull --release)"
+)
 MOST_SEGMENTS = 8
 """Of a chained motion, which whoever arms it may only make fewer."""
 
@@ -115,6 +118,7 @@ class RobotBridge(Agent):
         self._unconfirmed = False
         self._told_to_hold = True
         self._held_at_ns = 0
+        self._left_holding = False
         self._pauses = False
         self._turns = 0
         self._log = logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}")
@@ -189,6 +193,8 @@ class RobotBridge(Agent):
             self._log.exception("the arm could not be told to hold; it is told again in each turn")
         if execution is None:
             return []
+        pulled = execution.pull is not None and execution.pull.holds and execution.touched
+        self._left_holding = self._left_holding or pulled
         return [event_of(self.config.arm, execution.plan_id, execution.arming_id, ExecutionKind.HELD, now_ns, why)]
 
     def _tick(self, now_ns: int) -> Iterable[Output]:
@@ -292,6 +298,8 @@ class RobotBridge(Agent):
             self._execution = None
             self._backend.finish(execution.arming_id)
             self._plans.forget(execution.plan_id)
+            if execution.pull is not None:
+                self._left_holding = execution.pull.holds
             kinds.append((ExecutionKind.FINISHED, None))
         elif execution.ended_ns is not None and not rested:
             kinds.append((ExecutionKind.SEGMENT_ENDED, None))
@@ -486,6 +494,8 @@ class RobotBridge(Agent):
         pull = pulling_of(plan, message, self.config.pull)
         if isinstance(pull, Refusal):
             return pull
+        if pull is not None and self._left_holding and not lets_go_only(plan):
+            return LEFT_HOLDING
         segments, holds = (message.segments, False) if pull is None else (1, lets_go_only(plan))
         planned = self._planned(plan, arm, command.now_ns, segments, holds)
         if isinstance(planned, Refusal):

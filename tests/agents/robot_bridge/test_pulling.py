@@ -255,6 +255,8 @@ def test_jaws_let_go_after_a_hold_without_bounds_from_where_they_are_and_are_not
     resting.hold()
     assert resting.ended == (HELD, "hold_command")
     resting.run(10)
+    code, reason = refusal(resting, BOUNDS, pulled(24))
+    assert (code, "let go first" in reason) == ("pull_order", True)
     nothing = told(last=True, tail_m=None, tail=None, free_end=None, exit=None, entry=None, stop=PullStop.LET_GO)
     resting.publish(plan("p9", stamp=resting.stamp(), waypoints=resting.opens, pull=nothing))
     assert resting.arm("p9").code == ""
@@ -265,6 +267,8 @@ def test_jaws_let_go_after_a_hold_without_bounds_from_where_they_are_and_are_not
             break
     assert resting.ended == (FINISHED, "")
     assert resting.states[-1].jaw_rad > 0.9
+    resting.run(10)
+    assert refusal(resting, BOUNDS, pulled(24)) == ("", ""), "then thread may be pulled again"
 
 
 def test_a_grasp_of_a_real_arm_is_told_no_less_than_before():
