@@ -7,6 +7,7 @@ from agents.cli.alone import alone
 from agents.cli.evaluate.command import DOCUMENT, EXIT_LEFT, JOURNAL, PAGE, shown
 from agents.cli.evaluate.options import EvaluatePulling
 from agents.cli.evaluate.pulling_field import Eyes, PullField
+from agents.cli.evaluate.pulling_planner import InStep
 from agents.cli.evaluate.trials import rig_for
 from agents.cli.evaluate.workers import WorkError, shared_out
 from agents.cli.whole_file import whole_file
@@ -33,7 +34,7 @@ from shared.terminal import complain, say, show
 METHOD = "refined"
 
 
-DRIVERS: dict[str, Callable[[Task], Driver]] = {}
+DRIVERS: dict[str, Callable[[Task], Driver]] = {"planner": InStep}
 """Whose decisions can be judged, by name."""
 
 

@@ -274,13 +274,14 @@ def test_what_was_asked_before_a_hold_and_is_taken_up_after_it_moves_nothing(roo
     room.ready()
     room.publish(room.plan())
     room.tick(4)
-    heard = {"challenge_ns": room.state.challenge_ns, "pressed": True}
+    heard_ns = room.state.challenge_ns
     room.tick(4)
     assert room.command(HOLD, Hold(room.header(), "psm1")).code == ""
     if what == "arm":
-        answer = room.command(ARM, Arm(room.header(), "psm1", room.plan().plan_id, **heard))
+        answer = room.command(ARM, Arm(room.header(), "psm1", room.plan().plan_id, heard_ns, pressed=True))
     else:
-        answer = room.command(CHANGE_STATE, ChangeState(room.header(), "psm1", StateWord.HOME, **heard))
+        home = ChangeState(room.header(), "psm1", StateWord.HOME, heard_ns, pressed=True)
+        answer = room.command(CHANGE_STATE, home)
     assert (answer.code, "somebody said hold since" in answer.reason) == ("hold_command", True)
     room.tick(40)
     assert not room.moves
