@@ -171,6 +171,7 @@ def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:
         "goal_id": plan.goal_id,
         "ok": plan.status is Status.OK,
         "reason": plan.reason,
+        "pull": plan.pull.sentence if plan.pull is not None else "",
         "policy": plan.policy.name.lower().replace("_", "-"),
         "s_goal": plan.s_goal,
         "s_capture": plan.s_capture,

@@ -92,6 +92,8 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
 
 def plan_words(plan: dict[str, Any]) -> str:
     """A plan in one sentence."""
+    if plan["pull"]:
+        return f"Planned: {plan['pull']}."
     where = f"grasp at {_percent(plan['s_goal'])}"
     if plan["slide_mm"] > 0:
         where = f"capture at {_percent(plan['s_capture'])}, slide {plan['slide_mm']:.0f} mm, {where}"

@@ -29,7 +29,7 @@ from agents.robot_bridge.plans import (
     untimely,
     wrong_frame,
 )
-from agents.robot_bridge.pulling import Pulling, lets_go_only, pulling_of
+from agents.robot_bridge.pulling import AFTER, LETS_GO_RAD, Pulling, lets_go_only, pulling_of
 from agents.robot_bridge.state_changes import StateChanges
 from schemas.messages import (
     Arm,
@@ -77,7 +77,7 @@ HELD_MEANWHILE = Refusal(
     Code.HOLD_COMMAND, "somebody said hold since whoever asks last heard of the arm: look, then ask again"
 )
 LEFT_HOLDING = Refusal(
-    Code.PULL_ORDER, "the jaws hold thread since a pull was held: let go first (suturegrasp pull --release)"
+    Code.PULL_ORDER, "the jaws may hold thread since a pull was held: let go first (suturegrasp pull --release)"
 )
 MOST_SEGMENTS = 8
 """Of a chained motion, which whoever arms it may only make fewer."""
@@ -193,7 +193,8 @@ class RobotBridge(Agent):
             self._log.exception("the arm could not be told to hold; it is told again in each turn")
         if execution is None:
             return []
-        pulled = execution.pull is not None and execution.pull.holds and execution.touched
+        pull = execution.pull
+        pulled = pull is not None and (pull.held or (pull.holds and execution.touched))
         self._left_holding = self._left_holding or pulled
         return [event_of(self.config.arm, execution.plan_id, execution.arming_id, ExecutionKind.HELD, now_ns, why)]
 
@@ -246,6 +247,8 @@ class RobotBridge(Agent):
         self._know_nothing_of_before(now_ns)
         self._now_ns = now_ns
         arm = self._stands.measure(now_ns)
+        if arm is not None and arm.jaw_rad - self._stands.setup.jaw.told_rad > LETS_GO_RAD:
+            self._left_holding = False
         if self._execution or (arm and self._stands.measured.has_moved(arm)):
             self._rests_from_ns = now_ns + round(RESTS_AFTER_S * 1e9)
         events = self._states.turn(now_ns)
@@ -390,8 +393,9 @@ class RobotBridge(Agent):
             return UNMEASURED
         if pull is not None:
             return self._next_pull(execution, pull, plan, arm, now_ns)
-        if plan.pull is not None:
-            return Refusal(Code.PULL_ORDER, f"plan {plan.plan_id} pulls thread, and the motion that it continues none")
+        if plan.pull is not None or any(waypoint.phase in AFTER for waypoint in plan.waypoints):
+            pulls = f"plan {plan.plan_id} pulls thread or lets go, and the motion that it continues pulls none"
+            return Refusal(Code.PULL_ORDER, pulls)
         begun = dataclasses.replace(plan, waypoints=left_of(plan.waypoints, execution.approached))
         planned = self._planned(begun, arm, now_ns, execution.segments - execution.segment)
         if isinstance(planned, Refusal):
@@ -426,12 +430,13 @@ class RobotBridge(Agent):
         why = Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said {said}")
         # whoever is about to arm is told as well, so an arm that carries out nothing tells of its hold, too
         self._held_at_ns = command.now_ns
-        held = self.stop(why, command.now_ns) or [self._told_held(why, command.now_ns)]
+        held = self.stop(why, command.now_ns)
+        told = UNSENT if self._backend.dry_run else "" if self._told_to_hold else UNTOLD
+        held = held or [self._told_held(why, told, command.now_ns)]
         if not isinstance(message, ChangeState):
             # what a console does by itself, such as homing, it goes on with: what stops that is a state
             self._pauses = not executing and (bool(self._states.awaited) or self._is_busy)
             self._pause(command.now_ns)
-            told = UNSENT if self._backend.dry_run else "" if self._told_to_hold else UNTOLD
             return [accepted(message.header.id, told), *held]
         return [self._states.answer(message, command.now_ns, self.config.ratio), *held]
 
@@ -470,7 +475,8 @@ class RobotBridge(Agent):
         """Whether whoever asks had heard nothing of the arm since the last hold: commands that stop overtake others."""
         return 0 < message.challenge_ns <= self._held_at_ns
 
-    def _told_held(self, why: Refusal, now_ns: int) -> Output:
+    def _told_held(self, why: Refusal, told: str, now_ns: int) -> Output:
+        why = Refusal(why.code, "; ".join(filter(None, (why.sentence, told))))
         return event_of(self.config.arm, "", "", ExecutionKind.HELD, now_ns, why)
 
     def _arm(self, command: Command, message: Arm) -> Execution | Refusal:
@@ -494,7 +500,7 @@ class RobotBridge(Agent):
         pull = pulling_of(plan, message, self.config.pull)
         if isinstance(pull, Refusal):
             return pull
-        if pull is not None and self._left_holding and not lets_go_only(plan):
+        if self._left_holding and not lets_go_only(plan):
             return LEFT_HOLDING
         segments, holds = (message.segments, False) if pull is None else (1, lets_go_only(plan))
         planned = self._planned(plan, arm, command.now_ns, segments, holds)

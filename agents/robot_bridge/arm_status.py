@@ -117,8 +117,11 @@ class Standing:
         if state is not None and state.untold:
             what, remedy = state.untold[0]
             return Refusal(Code.UNKNOWN, f"{what}: {remedy}")
-        # in a chain the tool itself hides the place by now, and it was measured before
-        contact = [one.T_camera_tool for one in plan.waypoints if one.phase in CONTACT and not plan.continues]
+        looked_at = CONTACT
+        if plan.continues:
+            # the tool itself hides the place by now, and it was measured before, unless a pull grasps anew elsewhere
+            looked_at = () if plan.pull is None else (Phase.CAPTURE, Phase.GRASP)
+        contact = [one.T_camera_tool for one in plan.waypoints if one.phase in looked_at]
         surface = setup.surface
         lets_go = all(one.phase is Phase.RELEASE for one in plan.waypoints)
         if (

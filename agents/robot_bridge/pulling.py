@@ -17,15 +17,19 @@ from agents.robot_bridge.arm_status import too_old
 from agents.robot_bridge.jaw import FOLLOWING_JAW_RAD
 from agents.robot_bridge.limits import PullLimits, Setup
 from agents.robot_bridge.motion import Trajectory
-from agents.robot_bridge.plans import Code, Refusal
+from agents.robot_bridge.plans import Code, Refusal, taken_ns
 from schemas.messages import Arm, GraspPlan, Phase, PullBounds, Status, Tail
 from shared.kinematics.psm import FINGER_M
-from shared.rigid_transforms import apply
+from shared.rigid_transforms import angle_between, apply
 
 LETS_GO_RAD = 2.0 * FOLLOWING_JAW_RAD
 """A jaw that is told to be so far open is measured open by more than thread explains: it lags by half of it at most."""
 STAYS_M = 1e-3
 """An arm that stays is so near to where it was: at either end as near as one has to come to have arrived, 0.5 mm."""
+TURNS_RAD = 0.2
+"""Jaws that hold thread keep their attitude as well as an arm that follows does."""
+GOES_BACK_M = 0.03
+"""Letting go ends so near to where it began: twice as far as an approach begins before the thread."""
 BEFORE, AFTER = (Phase.APPROACH, Phase.CAPTURE, Phase.GRASP, Phase.PULL, Phase.RELEASE), (Phase.PULL, Phase.RELEASE)
 """What jaws that hold nothing may do, and those that hold thread."""
 MM = 1e3
@@ -35,12 +39,13 @@ class Pulling:
     """One pull, from its arming on.
 
     Fields:
-        holds: the jaws hold thread at the end of the segment that is carried out.
+        held, holds: the jaws held thread before the segment that is carried out; they will at its end.
         travelled_m: by closed jaws in all segments so far, the one that is carried out included.
     """
 
     def __init__(self, plan: GraspPlan, bounds: PullBounds | None) -> None:
-        self.holds, self.travelled_m = False, 0.0
+        self.held = self.holds = self.says_stop = False
+        self.travelled_m = 0.0
         self._bounds, self._began_ns = bounds, 0
         entry = plan.pull.entry if plan.pull is not None else None
         self._entry_camera = None if entry is None else entry.point_camera
@@ -48,8 +53,11 @@ class Pulling:
 
     def hear(self, tail: Tail) -> None:
         """Take the newest tail that was measured; one that could not be says nothing, and grows old."""
-        if tail.status is Status.OK:
-            self._newest = tail
+        if tail.status is not Status.OK or (self._newest is not None and _seen_ns(tail) < _seen_ns(self._newest)):
+            return
+        self._newest = tail
+        # of several between two turns of the bridge, one is enough
+        self.says_stop = self.says_stop or tail.stop is not None
 
     def refusal(self, plan: GraspPlan, planned: Trajectory, setup: Setup, drift_m: float) -> Refusal | None:
         """Why a segment must not be carried out.
@@ -63,6 +71,8 @@ class Pulling:
         tips = apply(planned_poses(planned, setup), np.array([[0.0, 0.0, FINGER_M]]))[:, 0]
         if lets_go_only(plan):
             return _drags(tips, _told_closed(planned, setup))
+        if why := self._loses_thread(planned, tips, setup):
+            return why
         bounds = self._bounds
         if bounds is None or self._entry_camera is None:
             return Refusal(Code.PULL_BOUNDS, "nobody has armed a pull, or its plan does not tell where the entry is")
@@ -87,6 +97,7 @@ class Pulling:
         tips = apply(planned_poses(planned, setup), np.array([[0.0, 0.0, FINGER_M]]))[:, 0]
         self.travelled_m += _travelled(tips, self._closed(planned, setup))
         phases = {waypoint.phase for waypoint in plan.waypoints}
+        self.held, self.says_stop = self.holds, False
         self.holds = Phase.RELEASE not in phases and (self.holds or Phase.GRASP in phases)
 
     def overdue(self, plan: GraspPlan, now_ns: int) -> Refusal | None:
@@ -105,11 +116,6 @@ class Pulling:
         old = too_old(newest.stamp, arm, is_real, now_ns, maximum_age_s, "the newest frame with a tail")
         return None if old is None else Refusal(Code.TAIL_LOST, old.sentence)
 
-    @property
-    def says_stop(self) -> bool:
-        """Whether the newest tail does."""
-        return self._newest is not None and self._newest.stop is not None
-
     def _out_of_order(self, plan: GraspPlan) -> Refusal | None:
         phases = [waypoint.phase for waypoint in plan.waypoints]
         if plan.pull is None:
@@ -121,6 +127,25 @@ class Pulling:
             return None
         holds = "hold thread" if self.holds else "hold nothing"
         return Refusal(Code.PULL_ORDER, f"the jaws {holds}, and plan {plan.plan_id} begins with {phases[0].name}")
+
+    def _loses_thread(self, planned: Trajectory, tips: Float64[np.ndarray, "n 3"], setup: Setup) -> Refusal | None:
+        """Why thread would not be grasped where the fingers come to it, or not be kept as it was grasped."""
+        captured, grasped = (
+            next((stop.sample for stop in planned.stops if stop.phase is phase), 0)
+            for phase in (Phase.CAPTURE, Phase.GRASP)
+        )
+        closes_m = float(np.linalg.norm(np.diff(tips[captured : grasped + 1], axis=0), axis=1).sum())
+        if not self.holds and closes_m > STAYS_M:
+            return Refusal(Code.PULL_ORDER, f"the jaws would move by {MM * closes_m:.1f} mm while they close")
+        kept = 0 if self.holds else grasped
+        if not _told_closed(planned, setup)[kept:].all():
+            return Refusal(Code.PULL_ORDER, "jaws that hold thread would open on the way")
+        turns = setup.kinematics.forward(planned.joints[kept:])[:, :3, :3]
+        if (turned_rad := float(np.max(angle_between(turns[:1], turns)))) > TURNS_RAD:
+            return Refusal(
+                Code.PULL_ORDER, f"jaws that hold thread would be turned by {np.degrees(turned_rad):.0f} degrees"
+            )
+        return None
 
     def _closed(self, planned: Trajectory, setup: Setup) -> Bool[np.ndarray, "n"]:
         """In which samples the jaws may hold thread."""
@@ -179,8 +204,11 @@ def _told_closed(planned: Trajectory, setup: Setup) -> Bool[np.ndarray, "n"]:
 
 def _drags(tips: Float64[np.ndarray, "n 3"], closed: Bool[np.ndarray, "n"]) -> Refusal | None:
     """Why jaws that are to let go would take thread along instead; None where they open before they move."""
-    if closed[-1]:
-        return Refusal(Code.PULL_ORDER, "jaws that are to let go would not open")
+    if closed[-1] or (np.diff(closed.astype(int)) > 0).any():
+        return Refusal(Code.PULL_ORDER, "jaws that are to let go would not open, or close again")
+    if (away_m := float(np.linalg.norm(tips - tips[0], axis=1).max())) > GOES_BACK_M:
+        far = f"jaws that are to let go would go {MM * away_m:.0f} mm away, and {MM * GOES_BACK_M:.0f} mm are allowed"
+        return Refusal(Code.PULL_ORDER, far)
     if (dragged_m := _travelled(tips, closed)) > STAYS_M:
         return Refusal(
             Code.PULL_ORDER, f"jaws that are to let go would move by {MM * dragged_m:.1f} mm before they open"
@@ -191,6 +219,10 @@ def _drags(tips: Float64[np.ndarray, "n 3"], closed: Bool[np.ndarray, "n"]) -> R
 def _travelled(tips: Float64[np.ndarray, "n 3"], closed: Bool[np.ndarray, "n"]) -> float:
     """How far the tips go while the jaws are closed."""
     return float((np.linalg.norm(np.diff(tips, axis=0), axis=1) * closed[1:]).sum())
+
+
+def _seen_ns(tail: Tail) -> int:
+    return taken_ns(tail.stamp, tail.arm)
 
 
 def _from(a: Float64[np.ndarray, "3"], b: Float64[np.ndarray, "3"]) -> float:

@@ -20,8 +20,17 @@ from schemas.messages import (
     Tail,
     TailLength,
 )
-from schemas.topics import TAIL
-from tests.agents.robot_bridge.drive import BEAT_TICKS, SECOND, Drive, RealArm, plan, stands_still, waypoint
+from schemas.topics import SURFACE, TAIL
+from tests.agents.robot_bridge.drive import (
+    BEAT_TICKS,
+    SECOND,
+    Drive,
+    RealArm,
+    plan,
+    stands_still,
+    tissue,
+    waypoint,
+)
 
 HELD, FINISHED, RESTS = ExecutionKind.HELD, ExecutionKind.FINISHED, ExecutionKind.SEGMENT_ENDED
 BOUNDS = PullBounds(length_m=0.025, time_s=60.0, radius_m=0.03)
@@ -154,6 +163,9 @@ def test_it_pulls_at_a_tenth_of_full_speed(resting):
         (BOUNDS, (pulled(24),), {"waypoints": (pulled(24),)}, "pull_order", "hold nothing"),
         (BOUNDS, (pulled(24), *OPENED), {}, "pull_order", "lets go and does more"),
         (BOUNDS, (waypoint((20, 6, 70), 0.0, Phase.RETREAT), pulled(24)), {}, "pull_order", "hold nothing"),
+        (BOUNDS, (waypoint((22, 6, 75), 0.0, Phase.GRASP, 0.4), pulled(24)), {}, "pull_order", "while they close"),
+        (BOUNDS, (pulled(24, jaw_rad=1.0), pulled(25)), {}, "pull_order", "would open on the way"),
+        (BOUNDS, (waypoint((22, 6, 75), 0.0, Phase.PULL, 0.9),), {}, "pull_order", "would be turned by"),
     ],
 )
 def test_a_pull_outside_of_its_bounds_or_out_of_order_is_not_armed(bounds, ways, changes, code, why):
@@ -172,6 +184,9 @@ def test_a_pull_outside_of_its_bounds_or_out_of_order_is_not_armed(bounds, ways,
         ((pulled(25), *OPENED), {}, "pull_order", "lets go and does more"),
         ((*OPENED[1:], OPENED[1]), {"last": True}, "pull_order", "6.0 mm before they open"),
         ((waypoint((24, 6, 75), 0.1, Phase.RELEASE, 0.4),), {"last": True}, "pull_order", "would not open"),
+        ((OPENED[0], waypoint((24, 6, 40), 1.0, Phase.RELEASE, 0.4)), {"last": True}, "pull_order", "mm away"),
+        ((*OPENED, waypoint((24, 6, 65), 0.0, Phase.RELEASE, 0.4)), {"last": True}, "pull_order", "close again"),
+        ((pulled(25, jaw_rad=1.0), pulled(26)), {}, "pull_order", "would open on the way"),
         ((pulled(25),), {"late": 60}, "segment", "a frame of before the last one ended"),
     ],
 )
@@ -181,6 +196,26 @@ def test_each_further_segment_is_checked_against_what_was_armed_and_a_wrong_one_
     resting.goes_on("p2", *ways, **changes)
     assert (resting.ended, why in resting.events[-1].reason) == ((HELD, code), True), resting.events[-1]
     assert stands_still(resting, 5)
+
+
+def test_a_pull_that_is_held_while_it_lets_go_may_still_hold_thread(resting):
+    resting.goes_on("p2", *resting.opens, last=True).run(1)
+    resting.hold()
+    resting.run(10)
+    for changes in ({}, {"waypoints": GRASPED, "pull": None}):
+        code, reason = refusal(resting, None if changes else BOUNDS, pulled(24), **changes)
+        assert (code, "may hold thread" in reason) == ("pull_order", True), reason
+
+
+def test_a_word_to_stop_counts_though_a_newer_tail_comes_before_the_next_turn():
+    drive = during_the_pull()
+    before = drive.states[-1].T_base_tool[:3, 3]
+    drive.stop = PullStop.TENSION
+    drive.see()
+    drive.stop = None
+    drive.see()
+    assert drive.until_it_rests().ended == (RESTS, "")
+    assert np.linalg.norm(drive.states[-1].T_base_tool[:3, 3] - before) < 0.005 * 0.55
 
 
 def test_what_is_no_pull_does_not_go_on_with_one(resting):
@@ -218,7 +253,7 @@ def test_a_tail_that_is_not_measured_any_more_holds_the_pull_within_a_second():
 def test_a_late_tail_holds_it_too_and_so_does_a_frozen_image_and_nobody_who_stands_by():
     drive = during_the_pull()
     drive.tail_late = 105
-    assert drive.run(20).ended == (HELD, "tail_lost")
+    assert drive.run(110).ended == (HELD, "tail_lost")
     drive = during_the_pull()
     drive.camera = None
     assert drive.run(80).ended == (HELD, "frame_age")
@@ -275,3 +310,24 @@ def test_a_grasp_of_a_real_arm_is_told_no_less_than_before():
     drive = Pulls(backend=RealArm())
     code, reason = refusal(drive, BOUNDS, pulled(24))
     assert code in ("no_presence", "unknown"), reason
+
+
+def test_where_a_real_arm_grasps_anew_tissue_must_have_been_measured_and_where_it_pulls_on_it_was_before():
+    registered = RobotBridgeConfig(calibration_id="c", registered_ns=1_700_000_000 * SECOND)
+    drive = Pulls(registered, backend=RealArm())
+    seen = tissue(drive.now_ns, 0.09)
+    valid = np.zeros_like(seen.valid)
+    valid[:5, :5] = True
+    depth = np.where(valid, seen.depth, 0.0)
+    drive.hear(SURFACE, dataclasses.replace(seen, valid=valid, depth=depth, deviation=1e-3 * depth))
+    stands = drive.bridge._stands
+    setup = stands.with_tissue(drive.now_ns, 30.0)
+
+    def unknown(*ways: Any) -> bool:
+        segment = plan("p3", stamp=drive.stamp(), waypoints=ways, pull=told(3), continues="p2")
+        why = stands.unknown(segment, setup, drive.now_ns)
+        assert why is None or "not measured at the thread" in why.sentence
+        return why is not None
+
+    assert unknown(*GRASPED, pulled(24))
+    assert not unknown(pulled(24))
