@@ -134,12 +134,11 @@ class _Rig(Settings):
 
     @model_validator(mode="after")
     def _real_arms_are_seen_now(self) -> "_Rig":
-        films = (self.camera.left or "", self.camera.right or "") if self.camera is not None else ()
-        moved = [arm for arm, section in self.robot.items() if section.dvrk is not None and not section.dvrk.dry_run]
-        for address in films:
-            if "://" in address and moved:
-                unknown = f"camera films {address!r}, and what comes from an address may be seconds old unnoticed"
-                raise ValueError(f"{unknown}: before {moved[0]}, which is real, film by a device, or leave dry_run on")
+        # whatever a source gives is echoed as seen just now: no bridge could tell a recording from the field
+        moved = [arm for arm, section in self.robot.items() if section.dvrk is not None and section.dvrk.moves]
+        if moved and self.camera is not None and (unseen := self.camera.unlike_now):
+            otherwise = "leave dry_run on, or name an emulated console in emulated_at"
+            raise ValueError(f"{unseen}; {moved[0]} is real and would go by it: {otherwise}")
         return self
 
     def _console(self, arm: str, dvrk: DvrkSection) -> tuple[str, str]:

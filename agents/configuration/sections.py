@@ -14,7 +14,7 @@ from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.robot_bridge.correction import CORRECTION_LIMIT_DEG, CORRECTION_LIMIT_MM
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from shared.runtime.config import Settings, spelled
-from shared.runtime.session import LOCAL_ENDPOINT
+from shared.runtime.session import LOCAL_ENDPOINT, on_loopback
 
 Label = Annotated[str, spelled(r"[A-Za-z0-9_.-]{1,64}", "up to 64 letters, digits, _ . and -, without spaces")]
 """An identifier of a lab's own; names of people have spaces, and their addresses an @."""
@@ -22,6 +22,8 @@ Sha256 = Annotated[str, spelled(r"[0-9a-fA-F]{64}", "64 digits 0 to 9 and a to f
 CALIBRATION_DAYS, REGISTRATION_DAYS, JAW_DAYS = 90.0, 30.0, 30.0
 """How old a camera's calibration, an arm's registration, and that of its jaw may be. Optics that nobody touches stay as
 they are for months; an arm's set-up joints are moved, and its instruments changed, more often."""
+DEVICE = re.compile(r"\d+|/dev/(?!shm/)(?!.*\.\.).+")
+"""A video device; below /dev/shm lie files."""
 ENDPOINT = re.compile(r"(?:tcp|tls|quic|ws|udp)/.+:(?P<port>\d{1,5})")
 
 
@@ -107,6 +109,22 @@ class CameraSection(Settings):
             raise ValueError("source 'pipe' needs width and height of the side-by-side frame")
         return self
 
+    @property
+    def unlike_now(self) -> str:
+        """Why its images may not be of now, with what to film by instead; empty where nothing in the file tells so."""
+        if self.source in ("scene", "images", "bag"):
+            return f"camera.source {self.source!r} shows no field that is there: film it by a device, a pipe or ros"
+        if self.source == "ros" and self.endpoint is not None and not on_loopback(self.endpoint):
+            far = f"images from camera.endpoint {self.endpoint!r} may wait on their way unnoticed"
+            return f"{far}: run the camera agent on the host of the camera, with the Zenoh there as endpoint"
+        if self.source == "video":
+            for name in filter(None, (self.left, self.right)):
+                if "://" in name:
+                    return f"camera films {name!r}, and what comes from an address may be seconds old: film by a device"
+                if not DEVICE.fullmatch(name):
+                    return f"camera films {name!r}, a file and so a recording: film by a device"
+        return ""
+
 
 class PerceptionSection(Settings):
     """How thread is found; `auto` takes what suits each image. `matching` unset is as the method needs it.
@@ -152,7 +170,8 @@ class DvrkSection(Settings):
     """How an arm of a da Vinci research kit is reached, and whether it is moved at all.
 
     `has_no` names what this rig has none of, so that its silence says nothing; `pedal` the console's operator-present
-    signal, which counts as presence beside the page's button.
+    signal, which counts as presence beside the page's button. `emulated_at` is `endpoint` once more where an emulated
+    console listens there: a file whose endpoint alone becomes that of a real one is refused.
     """
 
     endpoint: Endpoint
@@ -166,6 +185,19 @@ class DvrkSection(Settings):
     has_no: tuple[Literal["teleoperation", "endoscope_arm", "clutch", "set_up_joints", "tissue"], ...] = ()
     pedal: Literal["footpedals/operator_present", "console/operator_present"] | None = None
     dry_run: bool = True
+    emulated_at: Endpoint | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether something real may be moved."""
+        return not self.dry_run and self.emulated_at is None
+
+    @model_validator(mode="after")
+    def _is_emulated_where_it_is_reached(self) -> "DvrkSection":
+        if self.emulated_at is not None and self.emulated_at != self.endpoint:
+            told = f"emulated_at {self.emulated_at!r} is not endpoint {self.endpoint!r}"
+            raise ValueError(f"{told}: leave emulated_at out where the console is real")
+        return self
 
     @field_validator("through_guard", mode="before")
     @classmethod

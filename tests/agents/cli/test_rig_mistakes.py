@@ -63,7 +63,7 @@ OF_ONE_MACHINE = {
     f"{ARM}through_guard = false": "set points go through the guard always: leave through_guard",
     f'{ARM}has_no = ["camera"]': "'teleoperation', 'endoscope_arm', 'clutch', 'set_up_joints' or 'tissue'",
     f'{FOOT}{OTHER_FOOT}arm = "PSM2"': "robot.psm1 and robot.psm2 both count the pedal of the console",
-    f"{ARM}dry_run = false\n{STREAM}": "before psm1, which is real, film by a device",
+    f"{ARM}dry_run = false\n{STREAM}": "film by a device; psm1 is real and would go by it: leave dry_run on",
     f'{ARM}pedal = "camera"': "'footpedals/operator_present' or 'console/operator_present'",
     "[robot.psm1]\nmaximum_plan_age_s = 1e9": "maximum_plan_age_s = 1000000000.0: it must be less than or equal",
     "[robot.psm1]\nmaximum_frame_age_s = 2.1": "maximum_frame_age_s = 2.1: it must be less than or equal to 2",

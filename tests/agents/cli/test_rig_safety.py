@@ -1,6 +1,7 @@
 """What a rig's configuration keeps from a real arm: two bridges, a base that nobody vouches for, another's file."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -77,6 +78,60 @@ def test_on_loopback_each_host_has_a_console_of_its_own():
 
 def test_an_older_file_that_has_set_points_go_through_the_guard_still_opens():
     assert rig(real_arm("psm1", more="through_guard = true")).robot == rig(real_arm("psm1")).robot
+
+
+FILE = 'calibration = "c"\nleft = "a"\n'
+ROS_AT = 'source = "ros"\nleft_topic = "l"\nright_topic = "r"\nendpoint = '
+PIPE = 'source = "pipe"\nleft = "-"\nwidth = 8\nheight = 8\ncalibration = "c"'
+
+
+def video(name: str, other: str = "/dev/video1") -> str:
+    return f'source = "video"\nleft = "{other}"\nright = "{name}"\ncalibration = "c"'
+
+
+@pytest.mark.parametrize(
+    ("camera", "refused"),
+    [
+        ("", "'scene' shows no field"),
+        (f'source = "images"\n{FILE}', "'images' shows no field"),
+        (f'source = "images"\nloop = false\n{FILE}', "'images' shows no field"),
+        (f'source = "bag"\n{FILE}', "'bag' shows no field"),
+        (video("yesterday.mp4"), "films 'yesterday.mp4', a file"),
+        (video("/dev/shm/yesterday.mp4"), "a file"),  # noqa: S108
+        (video("/dev/../home/yesterday.mp4"), "a file"),
+        (video("rtsp://10.0.0.9/stereo"), "may be seconds old"),
+        (f'{ROS_AT}"tls/robot.lab:7448"', "run the camera agent on the host of the camera"),
+        (f'{ROS_AT}"{HERE}"', ""),
+        (video("/dev/v4l/by-id/usb-left"), ""),
+        (video("1", "0"), ""),
+        (PIPE, ""),
+        ('source = "plugin"\nplugin = "ours"\ncalibration = "c"', ""),
+    ],
+)
+def test_before_a_real_arm_the_camera_films_what_is_there_now(camera, refused):
+    def told(more: str) -> RigConfig:
+        return rig(f"[security]\n[camera]\n{camera}\n{real_arm('psm1', more=more)}")
+
+    told("dry_run = true")
+    told(f'dry_run = false\nemulated_at = "{HERE}"')
+    if not refused:
+        told("dry_run = false")
+        return
+    with pytest.raises(ConfigError, match=rf"{re.escape(refused)}.*; psm1 is real"):
+        told("dry_run = false")
+
+
+def test_an_emulated_arm_beside_a_real_one_lets_no_recording_lead_the_real_one():
+    both = [real_arm("psm1", more=f'dry_run = false\nemulated_at = "{HERE}"')]
+    both += [real_arm("psm2", of="PSM2", endpoint="tcp/127.0.0.1:7449", more="dry_run = false")]
+    with pytest.raises(ConfigError, match="psm2 is real"):
+        rig("[camera]\n" + "".join(both))
+
+
+def test_the_file_of_an_emulated_arm_whose_endpoint_alone_becomes_a_real_one_is_refused():
+    text = (REPOSITORY / "deploy" / "emulated.toml").read_text()
+    with pytest.raises(ConfigError, match="leave emulated_at out where the console is real"):
+        rig(text.replace('\nendpoint = "tcp/127.0.0.1:7448"', '\nendpoint = "tcp/127.0.0.1:7450"'))
 
 
 def section(**told: object) -> ArmSection:

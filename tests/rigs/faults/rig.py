@@ -90,8 +90,10 @@ def settings_at(config: Path) -> SessionSettings:
 
 
 def _emulated_arm(network: Network) -> ArmSection:
+    console = f"tls/{network.address('robot')}:{CONSOLE_PORT}"
     dvrk = DvrkSection(
-        endpoint=f"tls/{network.address('robot')}:{CONSOLE_PORT}",
+        endpoint=console,
+        emulated_at=console,
         has_no=("teleoperation", "clutch", "tissue"),
         pedal="footpedals/operator_present",
         dry_run=False,

@@ -66,7 +66,8 @@ class Lab:
         (folder / "base.json").write_text(json.dumps(base))
         untold = {"dry_run": False, "has_no": ["teleoperation", "endoscope_arm", "clutch", "tissue"]}
         for name, endpoint in (("rig", relayed if beside is None else self._robot), ("guard", self._robot)):
-            arm = base | told | {"backend": "dvrk", "dvrk": dvrk | untold | {"endpoint": endpoint}}
+            emulated = {"endpoint": endpoint, "emulated_at": endpoint}
+            arm = base | told | {"backend": "dvrk", "dvrk": dvrk | untold | emulated}
             rig = {"rig": RIG, "router": {"endpoint": self.endpoint}, "robot": {ARM: arm}, **self._sections}
             (folder / f"{name}.json").write_text(json.dumps(rig))
         rig, camera = ("--config", folder / "rig.json"), ("--camera", folder / "base.json")

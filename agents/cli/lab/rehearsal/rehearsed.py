@@ -88,6 +88,8 @@ def _standing(name: str, arm: ArmSection, number: int) -> ArmSection:
         "T_camera_base_calibration": SIMULATED_CALIBRATION,
         "T_camera_base_made": today.isoformat(),
     }
+    if arm.dvrk is not None:
+        stands["dvrk"] = arm.dvrk.model_dump() | {"emulated_at": arm.dvrk.endpoint}
     return ArmSection.model_validate(arm.model_dump() | stands)
 
 
