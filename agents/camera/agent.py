@@ -1,8 +1,8 @@
 """The camera agent: a source of stereo pairs becomes frames, with the calibration beside them.
 
 Each frame echoes the newest challenge of every arm's bridge that was heard before it was captured, by which that bridge
-knows how old it is. A notice with the stamp alone follows each frame, for whoever needs no image. A picture that comes
-again and again, as of a grabber that has lost its signal, was captured nobody knows when: it echoes nothing.
+knows how old it is. A notice with the stamp alone follows each frame, for whoever needs no image. Pictures that
+come again and again, as of a grabber that has lost its signal, were captured nobody knows when: they echo nothing.
 """
 
 import zlib
@@ -33,9 +33,10 @@ from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output,
 from shared.runtime.parameters import Between, settable
 
 CHALLENGES = Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True)
-MOST_ALIKE, EVERY_ROW = 5, 8
-"""So many frames in a row with the very same picture are one: no sensor is without noise, and a grabber that is faster
-than its camera repeats a picture once or twice. Some rows tell."""
+MOST_ALIKE, LAST, EVERY_ROW = 5, 8, 8
+"""So many frames in a row with a picture that is among the last 8 are nothing new: no sensor is without noise, a
+grabber that is faster than its camera repeats a picture once or twice, and one that has stopped goes round its few
+buffers. Some rows tell."""
 CHALLENGES_KEPT = 60
 """Two seconds of them at 30 frames a second: longer than any capture chain takes."""
 
@@ -149,7 +150,7 @@ class FrameSender:
     def __init__(self, config: CameraConfig) -> None:
         self.config, self._calibration_id = config, ""
         self.sent = 0
-        self._pictures: tuple[int, ...] = (0, 0)
+        self._pictures: tuple[deque[int], ...] = (deque(maxlen=LAST), deque(maxlen=LAST))
         self._alike: tuple[int, ...] = (0, 0)
         self._came: dict[str, int] = {}
         self._heard: dict[str, deque[tuple[int, int]]] = {}
@@ -186,11 +187,12 @@ class FrameSender:
         return StereoFrame(stamp, left, right)
 
     def _is_frozen(self, pair: Pair) -> bool:
-        """Whether an eye has shown the very same picture for some frames."""
+        """Whether an eye has shown nothing but its last pictures for some frames."""
         pictures = tuple(zlib.crc32(np.ascontiguousarray(image[::EVERY_ROW]).data) for image in pair)
-        same = (picture == before for picture, before in zip(pictures, self._pictures, strict=True))
-        self._alike = tuple(count + 1 if again else 1 for count, again in zip(self._alike, same, strict=True))
-        self._pictures = pictures
+        again = (picture in last for picture, last in zip(pictures, self._pictures, strict=True))
+        self._alike = tuple(count + 1 if old else 1 for count, old in zip(self._alike, again, strict=True))
+        for picture, last in zip(pictures, self._pictures, strict=True):
+            last.append(picture)
         return max(self._alike) >= MOST_ALIKE
 
     def _echoes(self, captured_ns: int) -> tuple[ChallengeEcho, ...]:

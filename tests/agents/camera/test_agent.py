@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from agents.camera.agent import MOST_ALIKE, Camera, CameraConfig
+from agents.camera.agent import LAST, MOST_ALIKE, Camera, CameraConfig
 from agents.camera.scene_source import calibration_of
 from agents.camera.sources import BrokenOffError, SourceError
 from schemas.messages import FrameNotice, ImageEncoding, RectifiedStereo, RobotMode, RobotState
@@ -103,6 +103,20 @@ def test_a_picture_that_comes_again_and_again_to_an_eye_echoes_no_challenge_unti
         list(camera.step(challenge("psm1", number)))
         echoed.append(bool(stepped(camera, number * 10**9)[FRAMES].stamp.echoes))
     assert echoed == [*[True] * (MOST_ALIKE - 1), False, False, True]
+
+
+@pytest.mark.parametrize("buffers", [1, 2, LAST])
+def test_a_grabber_that_goes_round_its_last_buffers_echoes_no_challenge_and_one_that_repeats_each_does(buffers):
+    def echoed(*shown):
+        camera, echoes = camera_of(*shown, config=CameraConfig()), list[bool]()
+        for number in range(1, len(shown) + 1):
+            list(camera.step(challenge("psm1", number)))
+            echoes.append(bool(stepped(camera, number * 10**9)[FRAMES].stamp.echoes))
+        return echoes
+
+    first = buffers + MOST_ALIKE - 1
+    assert echoed(*list(range(buffers)) * 2 * MOST_ALIKE)[: first + 2] == [*[True] * (first - 1), *[False] * 3]
+    assert all(echoed(*(number // 3 for number in range(30))))
 
 
 def test_a_frame_echoes_the_newest_challenge_that_was_heard_before_it_was_captured():
