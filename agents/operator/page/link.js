@@ -2,6 +2,7 @@
 
 const KEY = "suturegrasp-secret";
 const AGAIN_MS = 1000;
+const SURE_MS = 1000; // a server that is heard so long after a hold has had it
 
 async function firstSecret() {
   const token = new URLSearchParams(location.hash.slice(1)).get("token");
@@ -18,15 +19,27 @@ export async function connect(on) {
   if (!secret) return on.shut("Open the newest link that suturegrasp page printed; each works once.");
   const scheme = location.protocol === "https:" ? "wss" : "ws";
   let socket = null;
-  const link = { say(kind, rest = {}) { if (socket?.readyState === 1) socket.send(JSON.stringify({ kind, ...rest })); } };
+  let heldMs = null; // of a hold that may not have arrived; it is said again once the link is back
+  const link = {
+    say(kind, rest = {}) {
+      if (kind === "hold") heldMs = performance.now();
+      if (socket?.readyState === 1) socket.send(JSON.stringify({ kind, ...rest }));
+    },
+  };
   const open = () => {
+    let entered = false;
     socket = new WebSocket(`${scheme}://${location.host}/ws`);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => link.say("hello", { secret: sessionStorage.getItem(KEY) });
     socket.onmessage = (event) => {
+      if (entered && performance.now() - heldMs > SURE_MS) heldMs = null;
       if (typeof event.data !== "string") return on.picture(...unpacked(event.data));
       const message = JSON.parse(event.data);
-      if (message.kind === "welcome") sessionStorage.setItem(KEY, message.secret);
+      if (message.kind === "welcome") {
+        sessionStorage.setItem(KEY, message.secret);
+        entered = true;
+        if (heldMs !== null) link.say("hold");
+      }
       on[message.kind]?.(message);
     };
     socket.onclose = (event) => {

@@ -149,7 +149,7 @@ export class Panel {
   }
 
   lost() {
-    this.shutText = "The connection is lost; arms hold. Trying again ...";
+    this.shutText = "The connection is lost: this page holds nothing; use suturegrasp hold or the emergency stop. Trying again ...";
     this.put("words", this.shutText);
     this.$("press").disabled = true;
     setTimeout(() => { this.shutText = null; }, 1500);

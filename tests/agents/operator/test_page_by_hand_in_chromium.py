@@ -151,6 +151,35 @@ def test_a_goal_is_named_and_moved_by_keys_alone_and_its_plan_is_told_and_space_
     before_a_browser(rig, look)
 
 
+def test_a_hold_that_is_said_while_the_connection_is_lost_is_said_once_it_is_back(rig):
+    written = []
+    caught = "const send = WebSocket.prototype.send"
+    caught += "; WebSocket.prototype.send = function (text) { window.socket = this; return send.call(this, text); }"
+
+    async def connected_for(page, ms):
+        await page.value("(() => { delete window.socket; window.sinceMs = performance.now(); })()")
+        await page.until(f"window.socket?.readyState === 1 && performance.now() - sinceMs > {ms}", PATIENT_S)
+
+    async def look(page, _emulated):
+        await page.value(f"(() => {{ {caught}; }})()")
+        await connected_for(page, 0)
+        await page.value(f"(() => {{ socket.close(); {of('hold', 'click()')}; }})()")
+        await page.until(says("words", "this page holds nothing; use suturegrasp hold"), PATIENT_S)
+        async with asyncio.timeout(PATIENT_S):
+            while not holds():
+                await asyncio.sleep(0.02)
+        # once it has arrived for certain a further loss does not say it again
+        await connected_for(page, 2000)
+        await page.value("socket.close()")
+        await connected_for(page, 2000)
+        assert len(holds()) == 1
+
+    def holds():
+        return [told for what, told in written if what == "hold" and "said hold" in told["why"]]
+
+    before_a_browser(rig, look, audit=lambda what, **told: written.append((what, told)))
+
+
 def test_a_prompt_goes_out_by_a_click_and_is_written_down(rig, perception):
     audit = []
 
