@@ -114,7 +114,9 @@ GROUPS: dict[str, dict[str, Command]] = {
             "live.pull:pull",
         ),
         "arm": _on_rig("arm a plan, and stand by it", "live.options:ArmPlan", "live.command:arm"),
-        "hold": _on_rig("have an arm stop where it is, disarmed", "live.options:HoldArm", "live.command:hold_arm"),
+        "hold": _on_rig(
+            "have all arms stop where they are, disarmed", "live.options:HoldArm", "live.command:hold_arms"
+        ),
         "state": _on_rig(
             "enable, disable, pause, resume or home a real arm",
             "live.options:ChangeArmState",

@@ -281,6 +281,12 @@ def hold(connection: Connection, arm: str) -> CommandAnswer:
     return connection.command(HOLD, Hold(new_header(SENDER), arm), arm)
 
 
+def bridged_arms(connection: Connection) -> list[str]:
+    """The arms whose bridges are there."""
+    named = (name.split("/") for name in connection.present())
+    return [arm for kind, arm in named if kind == ROBOT_STATE.agent]
+
+
 def change_state(connection: Connection, arm: str, word: StateWord) -> CommandAnswer:
     """Have the console of a real arm that is disarmed change its state; homing moves the arm.
 

@@ -3,6 +3,7 @@
 import math
 import shlex
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -18,14 +19,34 @@ from agents.cli.live.options import (
 from agents.cli.live.pull import EXIT_REFUSED, stand_by_pull
 from agents.configuration.rig import RigConfig
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, change_state, events_of, hold, prompt
-from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
+from agents.operator.operator import (
+    Stood,
+    arm_and_stand_by,
+    ask_for_grasp,
+    bridged_arms,
+    change_state,
+    events_of,
+    hold,
+    prompt,
+)
+from schemas.messages import (
+    Checked,
+    CommandAnswer,
+    ExecutionEvent,
+    ExecutionKind,
+    GraspPlan,
+    Outcome,
+    Policy,
+    StateWord,
+    Status,
+)
 from schemas.topics import EXECUTION
 from shared.clock import monotonic_s
 from shared.runtime.connection import connected
 from shared.terminal import complain, say
 
 LOOK_S, STATE_WITHIN_S = 0.2, 65.0
+MOST_ARMS = 32
 POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
 
 
@@ -118,13 +139,27 @@ def _outcome(stood: Stood) -> int:
     return EXIT_OK if stood.end.kind is ExecutionKind.FINISHED else EXIT_REFUSED
 
 
-def hold_arm(rig: RigConfig, options: HoldArm) -> int:
-    """Have an arm hold."""
-    with connected(rig.session) as connection:
-        answer = hold(connection, options.arm)
+def hold_arms(rig: RigConfig, options: HoldArm) -> int:
+    """Have an arm hold, or all: none waits for the answer of another, and the exit status is the worst."""
+    named = list(rig.robot) if options.arm is None else [options.arm]
+    with connected(rig.session) as connection, ThreadPoolExecutor(MOST_ARMS, "holding") as threads:
+        answers = {arm: threads.submit(hold, connection, arm) for arm in named}
+        if options.arm is None:
+            # one that this file does not name moves all the same
+            beside = [arm for arm in bridged_arms(connection) if arm not in answers]
+            answers |= {arm: threads.submit(hold, connection, arm) for arm in beside}
+        statuses = [_held(arm, answer.result()) for arm, answer in answers.items()]
+    nobody = "no arm is named by the rig's file, and none is there: name one with --arm"
+    return max(statuses) if statuses else complain(nobody, EXIT_REFUSED)
+
+
+def _held(arm: str, answer: CommandAnswer) -> int:
+    """Say what became of a hold: one that is accepted for a reason did not reach the arm yet."""
     if answer.outcome is not Outcome.ACCEPTED:
-        return complain(answer.reason, EXIT_REFUSED)
-    say(f"{options.arm}: holds")
+        return complain(f"{arm}: {answer.reason}", EXIT_REFUSED)
+    if answer.reason:
+        return complain(f"{arm} was told to hold, but {answer.reason}", EXIT_REFUSED)
+    say(f"{arm}: holds")
     return EXIT_OK
 
 

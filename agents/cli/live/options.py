@@ -170,10 +170,10 @@ class ArmPlan(OnRig):
 
 @dataclass(frozen=True)
 class HoldArm(OnRig):
-    """Have an arm stop where it is, disarmed."""
+    """Have all arms of the rig stop where they are, disarmed, or one."""
 
-    arm: str = "psm1"
-    """Which arm."""
+    arm: Annotated[str | None, tyro.conf.arg(metavar="ARM")] = None
+    """This arm alone; without it every arm that the rig's file names, and any other one that is there."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -177,6 +177,50 @@ def test_on_a_real_arm_no_further_attempt_arms_itself(suturegrasp, nowhere, monk
     assert (said in ended.err) == is_real
 
 
+class Holding:
+    """In the place of a rig's bridges, each of which has its answer; who does not answer is not there."""
+
+    def __init__(self, **answers):
+        self.answers, self.held = answers, []
+
+    def hold(self, _connection, arm):
+        self.held.append(arm)
+        if arm in self.answers:
+            return CommandAnswer("id", Outcome.ACCEPTED, "", self.answers[arm])
+        return CommandAnswer("id", Outcome.UNKNOWN, "late", "nobody answers")
+
+    def present(self):
+        return ["camera/main", *(f"robot_bridge/{arm}" for arm in self.answers)]
+
+
+UNTOLD = "the arm could not be told yet"
+BOTH = "[robot.psm1]\n[robot.psm2]"
+
+
+@pytest.mark.parametrize(
+    ("rig", "words", "answers", "status", "out", "err"),
+    [
+        (BOTH, "", {"psm1": "", "psm2": ""}, 0, ["psm1: holds", "psm2: holds"], []),
+        (BOTH, "--arm psm2", {"psm1": "", "psm2": ""}, 0, ["psm2: holds"], []),
+        (BOTH, "", {"psm1": UNTOLD, "psm2": ""}, 3, ["psm2: holds"], [f"psm1 was told to hold, but {UNTOLD}"]),
+        (BOTH, "", {"psm1": ""}, 3, ["psm1: holds"], ["psm2: nobody answers"]),
+        ("[robot.psm1]", "", {"psm1": "", "psm2": ""}, 0, ["psm1: holds", "psm2: holds"], []),
+        ("[camera]", "", {"psm3": ""}, 0, ["psm3: holds"], []),
+        ("[camera]", "", {}, 3, [], ["no arm is named by the rig's file, and none is there: name one with --arm"]),
+    ],
+)
+def test_hold_is_for_all_arms_unless_one_is_named_and_says_of_each_what_became_of_it(
+    suturegrasp, rig_file, monkeypatch, rig, words, answers, status, out, err
+):
+    holding = Holding(**answers)
+    monkeypatch.setattr("agents.cli.live.command.connected", lambda _settings: contextlib.nullcontext(holding))
+    monkeypatch.setattr("agents.cli.live.command.hold", holding.hold)
+    ended = suturegrasp("hold", *words.split(), "--config", rig_file(rig))
+    assert (ended.status, ended.out.splitlines()) == (status, out)
+    assert ended.err.splitlines() == [f"suturegrasp: {line}" for line in err]
+    assert sorted(holding.held) == sorted({line.split()[0].rstrip(":") for line in [*out, *err]} - {"no"})
+
+
 def known(confidence) -> Any:
     """As much of a thread as goals are chosen by."""
     return SimpleNamespace(confidence=np.array(confidence), confidence_s=np.linspace(0, 1, len(confidence)))
