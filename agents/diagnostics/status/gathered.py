@@ -23,6 +23,9 @@ from schemas.messages import (
 from schemas.topics import TOPICS, Delivery
 from shared.runtime.clocks import ClockOffset
 
+FROZEN = "frozen"
+"""Perception's word for a camera both of whose eyes stand still: it can use the images, and no arm may go by them."""
+
 
 @dataclass(frozen=True)
 class ArmHeard:

@@ -8,7 +8,7 @@ from agents.configuration.topics import Override, in_words
 from agents.diagnostics.status.agents import judge_agents
 from agents.diagnostics.status.calibrations import too_old
 from agents.diagnostics.status.files import judge_files
-from agents.diagnostics.status.gathered import ArmHeard, Gathered
+from agents.diagnostics.status.gathered import FROZEN, ArmHeard, Gathered
 from agents.diagnostics.status.health_watch import SILENT_S, name_of, span_of
 from agents.diagnostics.status.tool import judge_tool
 from agents.diagnostics.status.wrong import Wrong, listed
@@ -79,9 +79,14 @@ def _replay(gathered: Gathered) -> list[Wrong]:
 
 
 def _faulty_images(gathered: Gathered) -> list[Wrong]:
-    """What keeps perception from using the camera's images."""
-    said = [(one.code, f"the images are of no use: {one.finding}; {one.remedy}") for one in gathered.faults]
-    return [Wrong("images", code, text) for code, text in said]
+    """What keeps perception from using the camera's images, and an arm from being moved by them."""
+    said = [(one, f"{one.finding}; {one.remedy}") for one in gathered.faults]
+    return [
+        Wrong("images", one.code, f"the camera stands still: {text}", grave=bool(gathered.arms))
+        if one.code == FROZEN
+        else Wrong("images", one.code, f"the images are of no use: {text}")
+        for one, text in said
+    ]
 
 
 def _other_rigs(gathered: Gathered) -> list[Wrong]:

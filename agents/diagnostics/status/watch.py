@@ -4,6 +4,7 @@ import contextlib
 import socket
 import threading
 from collections import deque
+from collections.abc import Iterable
 
 from agents.configuration.digest import rig_sections
 from agents.configuration.reading_session import reading_session
@@ -11,7 +12,7 @@ from agents.configuration.rig import RigConfig
 from agents.configuration.topics import overrides
 from agents.diagnostics.status.agents import Pair, late_links
 from agents.diagnostics.status.calibrations import allowed_ages
-from agents.diagnostics.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
+from agents.diagnostics.status.gathered import FROZEN, ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
 from agents.diagnostics.status.health_watch import Fare, HealthWatch, key_of
 from schemas.checks import MessageError
 from schemas.codec import decode
@@ -209,7 +210,7 @@ class StatusWatch:
         faults: tuple[Judgement, ...] = ()
         with contextlib.suppress(MessageError, IndexError):
             observed = decode(ThreadObservations, newest[-1])
-            faults = tuple(one for one in observed.judgements if one.severity is Severity.FAULT)
+            faults = against_use(observed.judgements)
         with self._lock:
             self._faults = faults
 
@@ -222,6 +223,11 @@ class StatusWatch:
         clocks = self._connection.clocks()
         with self._lock:
             self._clocks = clocks
+
+
+def against_use(judgements: Iterable[Judgement]) -> tuple[Judgement, ...]:
+    """Those that keep images from being used, or an arm from going by them."""
+    return tuple(one for one in judgements if one.severity is Severity.FAULT or one.code == FROZEN)
 
 
 def _instance(key: str) -> str:

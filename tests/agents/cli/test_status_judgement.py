@@ -17,7 +17,7 @@ from agents.diagnostics.status.gathered import ArmHeard, Gathered, expected_rate
 from agents.diagnostics.status.health_watch import STARTING, Fare, span_of
 from agents.diagnostics.status.judgement import judge
 from agents.diagnostics.status.report import document, report, watched
-from agents.diagnostics.status.watch import StatusWatch
+from agents.diagnostics.status.watch import StatusWatch, against_use
 from schemas.messages import (
     ExecutionEvent,
     ExecutionKind,
@@ -41,6 +41,7 @@ from tests.agents.cli.heard import DAY_NS, NOW_NS, facts, health, heard
 RATES = expected_rates(simulated_rig())
 HOSTS = {"video": "10.0.0.2", "desk": "10.0.0.3"}
 KEPT = Override("*/log", "kept", 5000, 1000)
+STILL = Judgement("frozen", Severity.WARNING, "both eyes show the very same picture", "restart the camera")
 SWAPPED = Judgement("left_right_swapped", Severity.FAULT, "left and right look exchanged", "exchange them")
 
 
@@ -316,6 +317,18 @@ def test_what_agents_tell_of_themselves_and_their_surroundings_is_judged(gathere
     (wrong,) = judge(gathered)
     assert (wrong.code, wrong.about, wrong.grave) == (code, about, code != "calibration")
     assert told in wrong.text
+
+
+def test_of_what_perception_finds_faults_are_told_and_a_camera_that_stands_still():
+    soft = Judgement("blurred", Severity.WARNING, "edges are soft", "focus")
+    assert against_use([soft, STILL, SWAPPED]) == (STILL, SWAPPED)
+
+
+def test_a_camera_that_stands_still_is_wrong_where_an_arm_may_go_by_it_and_else_a_note():
+    for arms in ((), (ArmHeard("psm1"),)):
+        (wrong,) = judge(moment(faults=(STILL,), arms=arms))
+        assert (wrong.code, wrong.about, wrong.grave) == ("images", "frozen", bool(arms))
+        assert wrong.text == "the camera stands still: both eyes show the very same picture; restart the camera"
 
 
 def test_what_is_not_old_full_or_otherwise_yet_is_well():
