@@ -49,6 +49,7 @@ class FieldSeen:
     Fields:
         found: how often a thread was found anew, after which s names other places; see `is_followed`.
         surface, observed: of which frame, and as text for pages.
+        states: the newest of each arm, and when it came, by this host's monotonic clock.
     """
 
     def __init__(self, heard: Heard, around: Surroundings) -> None:
@@ -58,8 +59,8 @@ class FieldSeen:
         self.camera: RectifiedStereo | None = None
         self.threads: OrderedDict[int, DrawnThread] = OrderedDict()
         self.thread: DrawnThread | None = None
-        self.states: dict[str, tuple[RobotState, int]] = {}
-        self._asked_s: dict[str, float] = {}
+        self.states: dict[str, tuple[RobotState, float]] = {}
+        self._came_s: dict[str, float] = {}
         self._track: ThreadReconstruction | None = None
         self.found = 0
         self.surface: tuple[int, str] | None = None
@@ -84,6 +85,7 @@ class FieldSeen:
     def take_frame(self) -> StereoFrame | None:
         """The newest frame."""
         for frame in self._heard.newest(FRAMES):
+            self._came_s["frame"] = monotonic_s()
             self.frame = frame
         return self.frame
 
@@ -93,7 +95,7 @@ class FieldSeen:
         if now_s - self._drawn_s < after_s:
             return
         for thread in self._heard.newest(THREAD):
-            self.camera, self._drawn_s = thread.camera, now_s
+            self.camera, self._drawn_s, self._came_s["thread"] = thread.camera, now_s, now_s
             self.found += not is_followed(self._track, thread)
             self._track = thread
             drawn = draw_thread(thread)
@@ -108,8 +110,7 @@ class FieldSeen:
     def take_states(self) -> None:
         """The newest state of each arm."""
         for state in self._heard.newest(ROBOT_STATE):
-            self.states[state.arm] = state, now_ns()
-            self._asked_s[state.arm] = monotonic_s()
+            self.states[state.arm] = state, monotonic_s()
         for correction in self._heard.newest(TOOL):
             self.corrections[correction.arm] = correction
 
@@ -124,10 +125,10 @@ class FieldSeen:
         Args:
             at_ns: the bridge's challenge; without one, the newest that was heard and how long ago that was.
         """
-        state, _ = self.states.get(arm, (None, 0))
+        state, heard_s = self.states.get(arm, (None, 0.0))
         if at_ns is None:
             newest_ns = self.newest_challenge(arm)
-            at_ns = newest_ns and newest_ns + round((monotonic_s() - self._asked_s[arm]) * 1e9)
+            at_ns = newest_ns and newest_ns + round((monotonic_s() - heard_s) * 1e9)
         return {
             "arm": arm,
             # numbers of a browser do not hold nanoseconds since 1970
@@ -157,6 +158,7 @@ class FieldSeen:
         # what was found after a miss is why there is another plan for the same goal
         if last is None or last["goal_id"] != plan.goal_id:
             self.checks.pop(plan.arm, None)
+        self._came_s[f"plan {plan.arm}"] = monotonic_s()
         self.plans[plan.arm] = drawn | {"captured_ms": plan.stamp.capture_left_ns * 1e-6}
         return True
 
@@ -205,8 +207,8 @@ class FieldSeen:
 
     def mode(self, arm: str) -> str:
         """What an arm is doing; empty where it has not been heard lately."""
-        state, heard_ns = self.states.get(arm, (None, 0))
-        if state is None or (now_ns() - heard_ns) * 1e-9 > 2.0:
+        state, heard_s = self.states.get(arm, (None, 0.0))
+        if state is None or monotonic_s() - heard_s > 2.0:
             return ""
         return state.mode.name.lower()
 
@@ -232,16 +234,20 @@ class FieldSeen:
         """What sentences are made of."""
         plan = self.plans.get(arm)
         return Seen(
-            frame_age_s=None if self.frame is None else _age_s(self.frame.stamp.capture_left_ns),
-            thread_age_s=None if self.thread is None else _age_s(self.thread.capture_ns),
+            frame_age_s=None if self.frame is None else self._age_s("frame", self.frame.stamp.capture_left_ns),
+            thread_age_s=None if self.thread is None else self._age_s("thread", self.thread.capture_ns),
             mode=self.mode(arm),
             plan=plan,
-            plan_age_s=None if plan is None else _age_s(round(plan["captured_ms"] * 1e6)),
+            plan_age_s=None if plan is None else self._age_s(f"plan {arm}", round(plan["captured_ms"] * 1e6)),
             said=self.said,
             why=self.why(arm),
             done=self.is_done(plan),
             refused=plan is not None and self.refused.get(arm) == plan["id"],
         )
+
+    def _age_s(self, what: str, captured_ns: int) -> float:
+        """How old something is: no younger than since it came, whatever a clock that was set back says."""
+        return max((now_ns() - captured_ns) * 1e-9, monotonic_s() - self._came_s[what])
 
 
 def is_followed(before: ThreadReconstruction | None, thread: ThreadReconstruction) -> bool:
@@ -256,10 +262,6 @@ def is_followed(before: ThreadReconstruction | None, thread: ThreadReconstructio
         return False
     since = thread.stamp.sequence - before.stamp.sequence
     return thread.track.frames >= since and thread.track.frames > before.track.frames
-
-
-def _age_s(at_ns: int) -> float:
-    return (now_ns() - at_ns) * 1e-9
 
 
 def _judgements(observations: ThreadObservations) -> list[dict[str, str]]:

@@ -1,17 +1,22 @@
 """What the page says: of what goes on, of each arm and its tool, and what becomes of a miss."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from agents.operator.control import Control
 from agents.operator.drawn import BETTER_ELSEWHERE
+from agents.operator.field_seen import FieldSeen
 from agents.operator.rig_panels import Finished, left_to_judge
+from agents.operator.surroundings import Surroundings
 from agents.operator.words import Seen, arm_words, event_words, sentence, tool_words
 from agents.planner import policy
 from agents.robot_bridge.plans import Code
-from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState, ToolStatus
+from schemas.messages import ExecutionEvent, ExecutionKind, FrameStamp, RobotMode, RobotState, ToolStatus
+from schemas.topics import FRAMES, ROBOT_STATE
 from tests.agents.operator.by_hand import followed
 
 PLAN = {
@@ -84,3 +89,32 @@ def test_a_miss_is_judged_though_the_same_goal_was_planned_for_again():
 
 def test_the_planner_and_the_page_mean_the_same_by_a_capture_that_would_do():
     assert BETTER_ELSEWHERE == policy.BETTER_ELSEWHERE
+
+
+class Heard:
+    """What has come, each once."""
+
+    def __init__(self, **come):
+        self.come = {FRAMES: come.pop("frames"), ROBOT_STATE: come.pop("states")}
+
+    def newest(self, topic):
+        return self.come.pop(topic, [])
+
+
+def test_a_clock_that_is_set_back_makes_no_dead_bridge_ready_and_no_old_image_young(monkeypatch):
+    wall_ns, now_s = [10**18], [100.0]
+    monkeypatch.setattr("agents.operator.field_seen.now_ns", lambda: wall_ns[0])
+    monkeypatch.setattr("agents.operator.field_seen.monotonic_s", lambda: now_s[0])
+    stamp = FrameStamp(1, wall_ns[0], wall_ns[0], "hand")
+    state = RobotState("psm1", 1, RobotMode.IDLE, np.eye(4), np.zeros(6), 0.0, np.eye(4), "")
+    heard: Any = Heard(frames=[SimpleNamespace(stamp=stamp)], states=[state])
+    field = FieldSeen(heard, Surroundings("test", ("psm1",), lambda *_, **__: None))
+    field.take_frame()
+    field.take_states()
+    assert (field.mode("psm1"), field.seen("psm1").frame_age_s) == ("idle", 0.0)
+    wall_ns[0] -= 3600 * 10**9
+    now_s[0] += 5.0
+    assert (field.mode("psm1"), field.seen("psm1").frame_age_s) == ("", 5.0)
+    # an image that was long on its way is as old as its stamp says
+    wall_ns[0] += 3609 * 10**9
+    assert field.seen("psm1").frame_age_s == 9.0
