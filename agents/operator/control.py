@@ -3,12 +3,13 @@
 One page controls at a time, the others watch; control is taken where nobody has it, and otherwise handed over, or
 passes on after ASKED_S without an answer, never while the button is pressed. Stopping is everybody's.
 
-The button that arms is a press-and-hold. While it is down its page is sent a challenge every CHALLENGE_EVERY_S at most
-and answers it. An answer counts once, and only to a challenge that was sent, so that nothing can be answered in advance
-or again. After PRESS_S of answers the plan is armed. Once it is, what is passed on are the challenges of the arm's
-bridge, always the newest, and each answer makes one heartbeat that echoes that very challenge: bridge and guard judge
-by their own clocks how old it is, and nothing here makes it look younger. BEAT_S without an answer ends the press, as
-releasing does. Whatever ends it while it arms or is armed has the arm hold.
+The button that arms is a press-and-hold. While it is down its page is sent a challenge every CHALLENGE_EVERY_S at
+most and answers it. An answer counts once, and only to a challenge that was sent, so that nothing can be answered in
+advance or again. After PRESS_S of answers the plan is armed. Once it is, what is passed on are the challenges of the
+arm's bridge, always the newest, and each answer makes one heartbeat that echoes that very challenge: bridge and guard
+judge by their own clocks how old it is, and nothing here makes it look younger. BEAT_S without an answer ends the
+press, as releasing does, and so do another plan of the arm before it is armed, and a hold that anybody says. Whatever
+ends it while it arms or is armed has the arm hold.
 """
 
 import enum
@@ -256,6 +257,23 @@ class Control:
         """What was armed has come to its end."""
         if self.press is not None and arming_id and self.press.arming_id == arming_id:
             self.press = None
+
+    def planned(self, arm: str, plan_id: str) -> list[Effect]:
+        """An arm's newest plan, which all pages show: another one than that is not armed by who looks at it."""
+        press = self.press
+        if press is None or press.arm != arm or press.plan_id == plan_id or press.stage is Stage.ARMED:
+            return []
+        return self._taken_back(press, f"{arm} has another plan by now: look at it, then press for that one")
+
+    def held(self, arm: str, arming_id: str, why: str) -> list[Effect]:
+        """An arm holds, and not because what was armed here has ended: whoever said so wants it to stand."""
+        press = self.press
+        if press is None or press.arm != arm or (arming_id and press.arming_id == arming_id):
+            return []
+        return self._taken_back(press, f"{arm} holds ({why}): look, then press again")
+
+    def _taken_back(self, press: Press, why: str) -> list[Effect]:
+        return [*self._end(why), Noted(press.screen, "refused", why)]
 
     def release(self, screen: str, why: str) -> list[Effect]:
         """The button goes up."""

@@ -49,6 +49,7 @@ class Happened:
                     beside = self._beside
                     beside.finished = left_to_judge(beside.finished, message.arm, message.goal_id)
                     self._choosing.planned(message.arm, message.goal_id)
+                    self._standing_by.follow(self._control.planned(message.arm, message.plan_id))
             case GraspCheck():
                 if self._field.note_check(message):
                     self._voice.say(f"Check: {message.sentence}")
@@ -71,12 +72,15 @@ class Happened:
         # a hold of ours was said with its reason, which the bridge does not know
         ours = event.reason == f"{SENDER} said hold" and self._standing_by.holds.get(event.arm)
         self._field.note_execution(replace(event, reason=ours) if ours else event)
+        # what ends a press asks no clock
+        if event.kind in ENDS:
+            self._control.ended(event.arming_id)
+        if event.kind is ExecutionKind.HELD:
+            self._standing_by.follow(self._control.held(event.arm, event.arming_id, event.reason))
         if not self._is_news(event.at_ns):
             return
         if not ours:
             self._voice.say(event_words(event))
-        if event.kind in ENDS:
-            self._control.ended(event.arming_id)
         plan = self._field.plans.get(event.arm)
         if event.kind is ExecutionKind.FINISHED and plan is not None and plan["id"] == event.plan_id:
             began_s = self._standing_by.armed_s.pop(event.arming_id, None)

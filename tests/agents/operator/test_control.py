@@ -159,6 +159,46 @@ def test_however_a_press_ends_once_it_arms_the_arm_holds(stage):
         assert control.press is None
 
 
+STAGES = {
+    "pressing": lambda control: pressed(control, until_s=PRESS_S / 2),
+    "arming": lambda control: [pressed(control), control.arming("plan-1", "id-1")],
+    "armed": armed,
+}
+
+
+@pytest.mark.parametrize(
+    ("stage", "ends", "holds"), [("pressing", True, False), ("arming", True, True), ("armed", False, False)]
+)
+def test_a_press_for_a_plan_that_is_no_longer_the_newest_arms_nothing(stage, ends, holds):
+    control = controlled("a")
+    STAGES[stage](control)
+    assert control.planned("psm1", "plan-1") == control.planned("psm2", "plan-2") == []
+    effects = control.planned("psm1", "plan-2")
+    assert (control.press is None) == ends
+    assert any(isinstance(effect, HoldNow) for effect in effects) == holds
+    assert [effect.what for effect in effects if isinstance(effect, Noted)] == (["released", "refused"] if ends else [])
+    # what was on its way is not wanted any more
+    assert not control.arming("plan-1", "id-2")
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("of", ["", "an arming of before"])
+def test_a_hold_that_somebody_says_elsewhere_ends_a_press(stage, of):
+    control = controlled("a")
+    STAGES[stage](control)
+    assert control.held("psm2", of, "operator said hold") == []
+    effects = control.held("psm1", of, "operator said hold")
+    assert control.press is None
+    assert any(isinstance(effect, HoldNow) for effect in effects) == (stage != "pressing")
+    assert effects[-1] == Noted("a", "refused", "psm1 holds (operator said hold): look, then press again")
+
+
+def test_what_was_armed_here_and_is_held_is_no_hold_from_elsewhere():
+    control = controlled("a")
+    armed(control)
+    assert control.held("psm1", "id-1", "the thread was lost") == []
+
+
 def test_an_arming_that_is_accepted_after_the_button_is_up_is_held():
     control = controlled("a")
     pressed(control)

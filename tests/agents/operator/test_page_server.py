@@ -15,10 +15,12 @@ import yarl
 from agents.cli.page.command import run
 from agents.cli.page.options import Page
 from agents.operator.load import Processors
+from agents.operator.operator import ask_for_grasp
 from agents.operator.wire import KINDS
 from schemas.codec import decode
-from schemas.messages import Arm, CommandRecord, ExecutionEvent, ExecutionKind, Heartbeat
+from schemas.messages import Arm, CommandRecord, ExecutionEvent, ExecutionKind, Heartbeat, Policy
 from schemas.topics import COMMANDS, EXECUTION, HEARTBEAT, ROBOT_STATE
+from shared.clock import now_ns
 from shared.runtime.connection import connected
 from shared.runtime.identity import AUTHORITY_FILE
 from tests.agents.operator.by_hand import (
@@ -99,7 +101,7 @@ class Served:
     """A server with what it wrote down, and what reached the agents."""
 
     def __init__(self, desk, audit, connection):
-        (_, self.address, self.access), self.audit = desk, audit
+        (_, self.address, self.access), self.audit, self.connection = desk, audit, connection
         self.ours = {"Origin": self.address.rstrip("/")}
         self.commands, self.armings, self.events, self.beats, self.asked = [], [], [], [], {}
         connection.listen((COMMANDS, EXECUTION, HEARTBEAT, ROBOT_STATE), self._take)
@@ -251,6 +253,36 @@ def test_however_a_press_ends_the_server_holds_the_arm(serve, end):
             await page.armed()
             await end(served, page)
             await served.held()
+
+    serve(scenario)
+
+
+async def planned_elsewhere(served):
+    await asyncio.to_thread(ask_for_grasp, served.connection, "psm1", Policy.DIRECT, s=0.8)
+    return "psm1 has another plan by now"
+
+
+async def held_elsewhere(served):
+    held = ExecutionEvent("", "psm1", now_ns(), ExecutionKind.HELD, None, "hold_command", "operator said hold")
+    with served.connection.publishing(EXECUTION, "psm1") as publish:
+        publish(held, held.at_ns)
+        await asyncio.sleep(0.5)
+    return "psm1 holds (operator said hold)"
+
+
+@pytest.mark.parametrize("meanwhile", [planned_elsewhere, held_elsewhere])
+def test_a_press_ends_unarmed_where_another_plan_or_a_hold_comes_meanwhile(serve, monkeypatch, meanwhile):
+    monkeypatch.setattr("agents.operator.control.PRESS_S", 2 * PATIENT_S)
+
+    async def scenario(served):
+        async with served.page() as page:
+            await page.presses()
+            await page.state(lambda s: s["press"])
+            elsewhere = asyncio.create_task(meanwhile(served))
+            why = await page.refused()
+            assert why.startswith(await elsewhere)
+            await page.state(lambda s: s["press"] is None)
+            assert not served.armings
 
     serve(scenario)
 
