@@ -59,6 +59,15 @@ def test_no_hardware_is_left_and_what_took_its_place_is_said(rehearsed):
     assert any("an emulated console in place of that of psm1" in line for line in told)
 
 
+def test_an_arm_that_would_move_is_led_by_the_simulated_field_for_its_console_is_emulated():
+    filmed = 'source = "video"\nleft = "/dev/video0"\ncalibration = "c"'
+    text = REAL.replace('source = "bag"\nleft = "somewhere.bag"', filmed)
+    moving = parse_config(f"{text}dry_run = false\n", RigConfig, "lab.toml")
+    dvrk = without_hardware(moving)[0].robot["psm1"].dvrk
+    assert dvrk is not None
+    assert (dvrk.dry_run, dvrk.emulated_at) == (False, dvrk.endpoint)
+
+
 def test_every_host_runs_what_its_units_start_with_its_own_credentials_and_folders(rehearsed, tmp_path):
     layout = layout_of(rehearsed[0])
     started = {one.name: one for host in layout.hosts for one in started_on(layout, host, tmp_path)}
