@@ -418,7 +418,8 @@ class ThreadReconstruction:
 
     Fields:
         knots: the full knot vector with repeated ends, from 0 to 1.
-        confidence_s, confidence: arc length (0 to 1) and confidence (0 to 1).
+        confidence_s, confidence: arc length (0 to 1), and how likely the thread passes within 1 mm of the curve there;
+            of method `paper` its own heuristic (0 to 1).
         posterior_s, posterior_covariance: spline parameter (0 to 1) and covariance of the point there; empty where
             the method predicts none. What errors of the calibration bend is in it; a rigid motion of the whole field,
             which a hand-eye transform found through the same camera takes back, is not.

@@ -91,7 +91,7 @@ def _arms_at(rig: RigConfig, name: str, section: HostSection) -> tuple[ReachedAr
 
 
 def _plan(options: Deploy, rig: RigConfig, layout: Layout) -> int:
-    beside = _calibration(options, rig)
+    beside = [*_calibration(options, rig), *_of_arms(options, rig)]
     files = plan(layout, options.config.read_text(encoding="utf-8"))
     for place, text in files.items():
         target = options.folder / place
@@ -122,6 +122,22 @@ def _calibration(options: Deploy, rig: RigConfig) -> list[tuple[Path, Path]]:
         raise ConfigError(f"camera.calibration {calibration} is no file beside {options.config} or below")
     hosts = [name for name, section in rig.hosts.items() if "camera" in section.runs]
     return [(source, Path(host) / calibration) for host in hosts]
+
+
+def _of_arms(options: Deploy, rig: RigConfig) -> list[tuple[Path, Path]]:
+    """Where an arm's base is and where its jaw closes, as files, which go to the host of the arm's bridge."""
+    found: list[tuple[Path, Path]] = []
+    for arm, section in rig.robot.items():
+        hosts = [name for name, host in rig.hosts.items() if f"robot_bridge {arm}" in host.runs]
+        for key, file in (("T_camera_base_file", section.T_camera_base_file), ("jaw_file", section.jaw_file)):
+            if file is None or file.is_absolute():
+                continue
+            source = options.config.parent / file
+            if source.is_file() and ".." not in file.parts:
+                found += [(source, Path(host) / file) for host in hosts]
+            else:
+                say(f"note: robot.{arm}.{key} {file} is no file beside {options.config}: put it on the bridge's host")
+    return found
 
 
 def _relative_calibration(rig: RigConfig) -> str:

@@ -130,6 +130,17 @@ def test_a_rig_that_nobody_can_command_is_told_and_a_calibration_goes_to_the_cam
     assert "./own/c.yaml:/etc/suturegrasp/own/c.yaml:ro" in (tmp_path / "out/video/compose.yaml").read_text()
 
 
+def test_the_files_of_an_arm_go_to_the_host_of_its_bridge_and_one_that_is_not_there_is_told(tmp_path, capfd):
+    (tmp_path / "base.json").write_text("what it says is read on that host")
+    files_of = '\n[robot.psm1]\nT_camera_base_file = "base.json"\njaw_file = "own/jaw.json"\n'
+    (tmp_path / "rig.toml").write_text(TEXT.replace("\n[robot.psm1]\n", files_of))
+    assert deploy("plan", "--config", tmp_path / "rig.toml", "--folder", tmp_path / "out") == 0
+    assert "robot.psm1.jaw_file own/jaw.json is no file beside" in capfd.readouterr().out
+    assert [path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("base.json")] == [
+        Path("robot/base.json")
+    ]
+
+
 def test_of_a_host_that_was_renamed_nothing_stays_but_a_persons_own_files(tmp_path, capfd):
     out = made(TEXT, tmp_path)
     before = files(out / "strong")
