@@ -50,7 +50,7 @@ WRONG, AREA_M2 = 0.001, 4.0 * DEEP_M * BESIDE_M
 """η and A: what no passage is taken to be the goal's beyond."""
 CALM_M, WRONG_M, WRONG_AS_WHOLE = 0.002, 0.01, 0.1
 """σ₀, σ₁ and ω."""
-DRAGGED, DRAG_M = (np.arange(20) + 0.5) / 20, 0.002
+DRAGGED, DRAG_M = (np.arange(100) + 0.5) / 100, 0.002
 """λ, and σ_d: not all of the thread is dragged alike."""
 MM_PER_M = 1e3
 

@@ -57,6 +57,7 @@ def test_every_command_its_sender_and_its_answer_are_written_and_only_added(tmp_
         ("event", "unknown_plan"),
         ("command", "ben"),
         ("answer", "accepted"),
+        ("event", "hold_command"),
         ("command", "ann"),
         ("answer", "no_states"),
         ("stopped", ""),

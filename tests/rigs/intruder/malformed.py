@@ -29,6 +29,7 @@ from schemas.messages import (
     LogRecord,
     Policy,
     Prompt,
+    PullGoal,
     ReplayClock,
     SetParameter,
     StateWord,
@@ -57,6 +58,7 @@ def valid_messages(arm: str, plan_id: str = "p") -> dict[Topic, Callable[[], byt
     recorded = {topic_of(entry.key): entry.payload for path in (NEWEST, EXAMPLE) for entry in read_recording(path)}
     made: dict[type, Callable[[], Any]] = {
         GraspGoal: lambda: GraspGoal(new_header("x"), arm, Policy.CAPTURE_SLIDE_GRASP, 0.5, None, None),
+        PullGoal: lambda: PullGoal(new_header("x"), arm, 0.02, np.array([10.0, 20.0])),
         Arm: lambda: Arm(new_header("x"), arm, plan_id),
         Hold: lambda: Hold(new_header("x"), arm),
         ChangeState: lambda: ChangeState(new_header("x"), arm, StateWord.PAUSE),
