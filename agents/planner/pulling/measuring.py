@@ -35,14 +35,14 @@ def tail_of(
     try:
         curve = curve_of(thread)
         strands = strands_of(thread, curve, config, meant_by(pull), needle)
+        held = reached in HOLDS or (reached is None and plan.waypoints[0].phase is Phase.PULL)
+        grip, jaw = pull.grip if held else None, jaw_of(T_camera_tool, plan.depth_m or 0.0)
+        is_straight = grip is not None and straight(thread, curve, strands, jaw, config)
+        verdict = decide(pull.tail_m, strands, grip, jaw, is_straight, config)
     except NoGraspError as error:
         why = str(error)
         nothing = None, None, None, None, None, None, reached, None, why
         return Tail(*told, Status.FAILED, why, pull.segment, pull.tail_m, *nothing)
-    held = reached in HOLDS or (reached is None and plan.waypoints[0].phase is Phase.PULL)
-    grip, jaw = pull.grip if held else None, jaw_of(T_camera_tool, plan.depth_m or 0.0)
-    is_straight = grip is not None and straight(thread, curve, strands, jaw, config)
-    verdict = decide(pull.tail_m, strands, grip, jaw, is_straight, config)
     ends = strands.free_end, strands.exit, strands.entry
     judged = verdict.ran_m, verdict.travelled_m, reached, verdict.stop, verdict.sentence
     return Tail(*told, Status.OK, "", pull.segment, pull.tail_m, strands.tail, *ends, *judged)

@@ -2,11 +2,11 @@
 
 A segment ends where the distance c of the jaws from the entry is
 
-    c = a⁻ + min(r, d),      a⁻ = a − 2 σ_a,      r = tail − L,
+    c = a⁻ + min(r, d),      a⁻ = a − 2 σ_a,
 
-a being the strand between entry and jaws as it was grasped, and d the most that may run in one segment: the strand is
-surely as long as a⁻, so no more than r comes through the tissue, and the tail is not made shorter than asked for by
-more than its own deviation. Once thread runs, c grows by min(r, d) from one segment to the next. A loose strand is
+a being the strand between entry and jaws as it was grasped, r how much may run (stopping.py), and d the most that may
+run in one segment: the strand is surely as long as a⁻, so no more than r comes through the tissue, and the tail is not
+made shorter than asked for. Once thread runs, c grows by min(r, d) from one segment to the next. A loose strand is
 taken up by no more than 2 d at once. What the next segment goes on from lies in the plan (`Pull`).
 """
 
@@ -19,7 +19,7 @@ from agents.planner.captures import AS_LIKELY, ArmView
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, curve_of
 from agents.planner.plan import plan_grasp
-from agents.planner.pulling.stopping import MM, NEAREST_M, Verdict, decide, in_words, straight
+from agents.planner.pulling.stopping import MM, NEAREST_M, Verdict, decide, in_words, left_m, straight
 from agents.planner.pulling.strands import SAMPLES, Meant, Strands, strands_of
 from agents.planner.pulling.tail import tail_length
 from agents.planner.pulling.way import Around, Situation, clear_until, clear_way_end, jaw_of, lift_of, moved
@@ -42,7 +42,6 @@ from schemas.messages import (
     Waypoint,
 )
 from schemas.messages.pulling import SIGMAS_95
-from shared.camera import project
 from shared.kinematics.psm import FINGER_M
 
 FROM_ENTRY_M = tuple(FINGER_M * np.arange(1.0, 3.25, 0.5))
@@ -84,12 +83,13 @@ def go_on(
     try:
         curve = curve_of(thread)
         strands = strands_of(thread, curve, config, meant_by(was), around.needle)
+        depth_m = plan.depth_m or 0.0
+        jaw = jaw_of(arm.T_camera_tool, depth_m)
+        is_straight = was.grip is not None and straight(thread, curve, strands, jaw, config)
+        verdict = decide(was.tail_m, strands, was.grip, jaw, is_straight, config)
     except NoGraspError:
         return None
-    here, depth_m = Situation(thread, curve, strands, arm, config, around), plan.depth_m or 0.0
-    jaw = jaw_of(arm.T_camera_tool, depth_m)
-    is_straight = was.grip is not None and straight(thread, curve, strands, jaw, config)
-    verdict = decide(was.tail_m, strands, was.grip, jaw, is_straight, config)
+    here = Situation(thread, curve, strands, arm, config, around)
     if verdict.stop is PullStop.END_UNSEEN:
         return None
     named = f"pull-{plan.goal_id}.{was.segment + 1}"
@@ -104,7 +104,7 @@ def go_on(
             return _over(plan, named, thread, arm, config, pull, Verdict(PullStop.NO_WAY, str(error)))
         return replace(again, continues=plan.plan_id)
     ahead = clear_until(arm.T_camera_tool, was.grip.way_end_camera, depth_m, here)
-    run_m = min(strands.tail.length_m - was.tail_m, config.pull_segment_m)
+    run_m = min(left_m(strands.tail, was.tail_m), config.pull_segment_m)
     away_m = max(float(np.linalg.norm(jaw - was.grip.entry_camera)), _surely_m(was.grip)) + run_m
     target = _target(jaw, ahead, was.grip.entry_camera, away_m, config)
     if np.linalg.norm(target - jaw) < NEAREST_M:
@@ -129,22 +129,22 @@ def _pull(tail_m: float, segment: int, strands: Strands, grip: PullGrip | None, 
 
 
 def _grasped(name: str, header: CommandHeader, arm_name: str, pull: Pull, here: Situation) -> GraspPlan:
-    """The likeliest direct grasp of the standing strand from which a clear way leads on, and the first pull there.
+    """The direct grasp of the standing strand with the first pull from there that most likely leads to the end.
+
+    Where its clear way is short the strand is grasped more often, and each grasp has to succeed.
 
     Raises:
         NoGraspError: where there is none.
     """
     curve, config, around = here.curve, here.config, here.around
     if here.strands.standing is None:
-        pixel, _ = project(curve.camera, here.entry_camera[None])
-        u, v = np.rint(pixel[0]).astype(int)
         raise NoGraspError(
-            "the strand to pull is seen and not reconstructed, for the tail is taken for the thread: say that the "
-            f"other one is meant (suturegrasp prompt --pixel {u} {v}), then ask again"
+            "the strand to pull is not reconstructed as one with the tail: clear the view, and ask again"
         )
     entry, far = here.strands.standing
     long_m = abs(far - entry) * curve.length_m
     best: GraspPlan | None = None
+    best_chance, best_grasps = 0.0, 1
     why = f"the standing strand is {MM * long_m:.0f} mm long, too short to be grasped clear of its entry"
     for from_entry_m in (one for one in FROM_ENTRY_M if one < long_m - config.grasp_arc_m):
         s = float(entry + (1.0 if far > entry else -1.0) * from_entry_m / curve.length_m)
@@ -154,16 +154,20 @@ def _grasped(name: str, header: CommandHeader, arm_name: str, pull: Pull, here: 
         if grasp.status is not Status.OK or obstructed:
             why = grasp.reason or obstructed
             continue
-        if best is not None and grasp.probability <= best.probability + AS_LIKELY:
+        if best is not None and grasp.probability <= best_chance + AS_LIKELY:
             continue
         made = _pulling(grasp, s, pull, here)
         if made is None:
             why = "no way leads on from the standing strand clear of tissue, thread, needle and instruments"
             continue
-        best = replace(made, plan_id=name)
-    if best is None:
+        grasps = _grasps(made, pull.tail_m or 0.0, here)
+        chance = grasp.probability**grasps
+        if best is None or chance > best_chance + AS_LIKELY:
+            best, best_chance, best_grasps = replace(made, plan_id=name), chance, grasps
+    if best is None or best.pull is None:
         raise NoGraspError(f"the standing strand cannot be pulled: {why}")
-    return best
+    bounds = _bounds(_runs_m(here.strands.tail, pull.tail_m or 0.0), best_grasps, config)
+    return best if pull.segment > 1 else replace(best, pull=replace(best.pull, bounds=bounds))
 
 
 def _pulling(grasp: GraspPlan, s: float, pull: Pull, here: Situation) -> GraspPlan | None:
@@ -176,34 +180,42 @@ def _pulling(grasp: GraspPlan, s: float, pull: Pull, here: Situation) -> GraspPl
     covariance = thread_covariance(here.thread, here.curve, between)
     assert covariance is not None  # noqa: S101 - strands are of a thread that tells it
     strand = tail_length(here.curve.points(between), covariance, config.correlation_m)
-    left_m = strands.tail.length_m - (pull.tail_m or 0.0)
-    if way_end is None or np.linalg.norm(way_end - entry) < strand.length_m + min(left_m, config.pull_segment_m):
+    run_m = min(left_m(strands.tail, pull.tail_m or 0.0), config.pull_segment_m)
+    if way_end is None or np.linalg.norm(way_end - entry) < strand.length_m + run_m:
         return None
     jaw = jaw_of(T_grasp, depth_m)
     grip = PullGrip(jaw, entry, strand.length_m, strand.deviation_m, strands.tail, way_end)
     T_lifted = moved(T_grasp, lift_of(T_grasp, depth_m, config))
     lifted = jaw_of(T_lifted, depth_m)
-    target = _target(lifted, way_end, entry, _surely_m(grip) + min(left_m, config.pull_segment_m), config)
+    target = _target(lifted, way_end, entry, _surely_m(grip) + run_m, config)
     closed = float(np.radians(config.closed_deg))
     poses = [T_lifted, *([moved(T_lifted, target - lifted)] if np.linalg.norm(target - lifted) >= NEAREST_M else [])]
     pulls = tuple(Waypoint(T, closed, Phase.PULL, None) for T in poses)
-    bounds = _bounds(strands.tail, left_m, strand, grip, config)
     until = f"pull until the tail is {MM * (pull.tail_m or 0.0):.1f} mm"
     told = f"grasp {MM * strand.length_m:.0f} mm from the entry, {until}"
     pulled = replace(
         pull,
         grip=grip,
-        bounds=bounds if pull.segment == 1 else None,
         sentence=f"{told}; grasp succeeds with {grasp.probability:.0%}; {pull.sentence}",
     )
     return replace(grasp, waypoints=(*to_grasp, *pulls), pull=pulled)
 
 
-def _bounds(tail: TailLength, left_m: float, strand: TailLength, grip: PullGrip, config: PlannerConfig) -> PullBounds:
+def _runs_m(tail: TailLength, tail_m: float) -> float:
+    """How much thread is to run, by the upper bound of the tail."""
+    return tail.length_m + SIGMAS_95 * tail.deviation_m - tail_m
+
+
+def _grasps(plan: GraspPlan, tail_m: float, here: Situation) -> int:
+    """How often the strand is grasped in all, with ways as long as that of this grasp."""
+    grip = plan.pull.grip if plan.pull is not None else None
+    assert grip is not None  # noqa: S101 - asked of plans that grasp
+    usable_m = float(np.linalg.norm(grip.way_end_camera - grip.entry_camera)) - grip.strand_m
+    return int(np.ceil(_runs_m(grip.tail, tail_m) / max(usable_m, here.config.pull_segment_m)))
+
+
+def _bounds(runs_m: float, grasps: int, config: PlannerConfig) -> PullBounds:
     """What a pull needs, its deviations included: a loose strand and a lift with each grasp, and all that is to run."""
-    runs_m = left_m + SIGMAS_95 * tail.deviation_m
-    usable_m = float(np.linalg.norm(grip.way_end_camera - grip.entry_camera)) - strand.length_m
-    grasps = int(np.ceil(runs_m / max(usable_m, config.pull_segment_m)))
     # a way that is oblique to the strand is longer than what runs, by √2 at its steepest
     slack_m = config.pull_reach_m
     length_m = np.sqrt(2.0) * runs_m + grasps * slack_m

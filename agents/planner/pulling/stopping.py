@@ -1,10 +1,19 @@
 """Whether a pull may go on, from how far the jaws went and how much shorter the tail became.
 
 Of a strand that had the length a between entry and jaws when it was grasped, |jaw − entry| − a more must have run out
-of the tissue once the jaws are farther away than that; the entry counts where it was then, so that tissue which follows
-the jaws counts as thread that did not run. No force is measured. Thread that lags behind by more than all deviations
-together explain (95 %) does not run: it slips in the jaws while the strand between entry and jaws is slack; where that
-is straight, it is held in the tissue and comes under tension.
+of the tissue once the jaws are farther away than that. The entry counts where it was then: tissue follows the jaws by
+no more than running thread draws it (GIVES_M), while a knot draws it along as far as they go. No force is measured.
+Thread that lags behind by more than that and all deviations together explain (95 %) does not run: it slips in the jaws
+while the strand between entry and jaws is slack; where that is straight, it is held in the tissue and comes under
+tension. What grew, or became shorter than the jaws can have made it, by more than the deviations is not the tail:
+another course was taken for the thread's, and nothing is measured.
+
+Where the free end has left the view the tail is still at least as long as what is seen of it, and the entry, which a
+knot draws along, tells whether thread runs: while at least a segment more is to run, jaws pull on.
+
+How much may run, r, is what the lower bound of the tail's interval is above what was asked for; or what its upper bound
+is above that and WITHIN_M, where that is more and the interval is so narrow that all of it lies within WITHIN_M then.
+Where r is used up and it is wider, nothing is claimed.
 """
 
 from dataclasses import dataclass
@@ -13,8 +22,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import ThreadCurve
-from agents.planner.pulling.strands import SAMPLES, Strands
+from agents.planner.curve import NoGraspError, ThreadCurve
+from agents.planner.pulling.strands import GIVES_M, SAMPLES, Strands
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
 from schemas.messages import EndSight, PullGrip, PullStop, TailLength, ThreadReconstruction
@@ -22,6 +31,8 @@ from schemas.messages.pulling import SIGMAS_95
 
 NEAREST_M = 0.0005
 """An arm has arrived where it is so near to a place (the bridge confirms no less), and pulls no finer."""
+WITHIN_M = 0.002
+"""So near to what was asked for a tail has to be, to be told right."""
 MM = 1e3
 
 
@@ -54,31 +65,53 @@ def decide(
         grip: of what the jaws hold; None while they hold nothing.
         jaw_camera: where the held thread is now.
         is_straight: the strand between entry and jaws, as `straight` tells.
+
+    Raises:
+        NoGraspError: where what is taken for the tail cannot be it.
     """
     tail = strands.tail
     told = in_words(tail)
+    both, ran_m, travelled_m, unsure_m = "", None, None, 0.0
+    if grip is not None:
+        ran_m = grip.tail.length_m - tail.length_m
+        travelled_m = max(0.0, float(np.linalg.norm(jaw_camera - grip.entry_camera)) - grip.strand_m)
+        deviations = tail.deviation_m, grip.tail.deviation_m, grip.deviation_m, config.tool_error_m
+        unsure_m = SIGMAS_95 * float(np.linalg.norm(deviations))
+        took = f"{MM * travelled_m:.1f} (± {MM * unsure_m:.1f})"
+        both = f"; the tail shortened by {MM * ran_m:.1f} mm where the jaws took {took}"
+        if ran_m < -unsure_m or (ran_m > travelled_m + unsure_m and not tail.at_least):
+            raise NoGraspError(f"what is taken for the tail is not the one that is pulled: {told}{both}")
+    low_m, high_m = tail.interval_m
+    away = strands.free_end.sight is EndSight.OUT_OF_VIEW
+    if grip is not None and away and low_m - tail_m >= config.pull_segment_m:
+        drawn_m = float(np.linalg.norm(strands.entry.point_camera - grip.entry_camera))
+        if strands.entry.sight is EndSight.SEEN and drawn_m <= GIVES_M + unsure_m:
+            return Verdict(None, f"{told}, and the jaws drew the entry by {MM * drawn_m:.1f} mm", None, travelled_m)
     if strands.free_end.sight is not EndSight.SEEN:
         why = "hidden" if strands.free_end.sight is EndSight.HIDDEN else "out of view"
         return Verdict(PullStop.END_UNSEEN, f"the free end is {why}: {told}, and whether it runs cannot be told")
-    if tail.interval_m[0] <= config.least_tail_m:
+    if low_m <= config.least_tail_m:
         return Verdict(PullStop.FREE_END_NEAR, f"the free end comes near the tissue: {told}")
-    if tail.length_m - tail_m <= NEAREST_M:
-        return Verdict(PullStop.REACHED, f"{told}, and {MM * tail_m:.1f} mm were asked for")
-    if grip is None:
-        return Verdict(None, told)
-    ran_m = grip.tail.length_m - tail.length_m
-    travelled_m = max(0.0, float(np.linalg.norm(jaw_camera - grip.entry_camera)) - grip.strand_m)
-    deviations = tail.deviation_m, grip.tail.deviation_m, grip.deviation_m, config.tool_error_m
-    unsure_m = SIGMAS_95 * float(np.linalg.norm(deviations))
-    took = f"{MM * travelled_m:.1f} (± {MM * unsure_m:.1f})"
-    both = f"the tail shortened by {MM * ran_m:.1f} mm where the jaws took {took}"
-    if travelled_m - ran_m <= unsure_m:
-        return Verdict(None, f"{told}; {both}", ran_m, travelled_m)
+    if left_m(tail, tail_m) <= NEAREST_M:
+        asked = f"{told}, and {MM * tail_m:.1f} mm were asked for"
+        if high_m is None or high_m - low_m > 2.0 * WITHIN_M:
+            return Verdict(PullStop.END_UNSEEN, f"{asked}, which is not known well enough: look from nearer")
+        return Verdict(PullStop.REACHED, asked)
+    if ran_m is None or travelled_m is None or travelled_m - ran_m <= unsure_m + GIVES_M:
+        return Verdict(None, f"{told}{both}", ran_m, travelled_m)
     if is_straight:
-        held = f"{both}, and the strand that is pulled is straight: it is held in the tissue"
+        held = f"{told}{both}, and the strand that is pulled is straight: it is held in the tissue"
         return Verdict(PullStop.TENSION, held, ran_m, travelled_m)
-    slips = f"{both}, and the strand that is pulled is slack: it slips through the jaws, or they missed it"
+    slips = f"{told}{both}, and the strand that is pulled is slack: it slips through the jaws, or they missed it"
     return Verdict(PullStop.NOT_RUNNING, slips, ran_m, travelled_m)
+
+
+def left_m(tail: TailLength, tail_m: float) -> float:
+    """r."""
+    low_m, high_m = tail.interval_m
+    if high_m is None or high_m - low_m > 2.0 * WITHIN_M:
+        return low_m - tail_m
+    return max(low_m, high_m - WITHIN_M) - tail_m
 
 
 def straight(

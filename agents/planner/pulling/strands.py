@@ -1,10 +1,11 @@
 """The tail and the standing strand of a thread that passes through tissue, and the three ends between them.
 
-Tissue hides a few millimetres of the thread. Depending on its course a reconstruction is one curve with an unseen gap,
-or the curve of one strand, with the other one among its `other_threads`. Either way two ends face each other across the
-tissue. While jaws hide the standing strand the tail alone may be left, which ends where its exit was a frame ago. One
-of the ends is the tail's exit, the other the standing strand's entry. Which is which is told by a pixel of the user's,
-by the frame before, by the needle, or by which far end is seen; where none of these tells, nothing is guessed.
+Tissue hides a few millimetres of the thread. Where a reconstruction is one curve with an unseen gap, two ends face each
+other across the tissue: one is the tail's exit, the other the standing strand's entry. Which is which is told by a
+pixel of the user's, by the frame before, by the needle, or by which far end is seen; where none of these tells, nothing
+is guessed. While jaws hide the standing strand the tail alone may be left, which ends where its exit was a frame ago.
+Strands that are reconstructed apart are not pulled: only one of them is followed from frame to frame, and of the other
+perception tells where it was when it last looked at the whole.
 """
 
 from collections.abc import Iterator
@@ -16,7 +17,6 @@ from jaxtyping import Float64
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, ThreadCurve, pixels
 from agents.planner.needle import NeedleAround
-from agents.planner.pulling.other_strand import other_strands
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
 from schemas.messages import SURE, EndSight, StrandEnd, TailLength, ThreadReconstruction
@@ -25,11 +25,18 @@ from shared.camera import project
 SAMPLES = 81
 LEAST_GAP_M, MOST_GAP_M = 0.002, 0.015
 """A bite is 3 to 10 mm of tissue; what is hidden over less is a glint, and over more no single bite."""
+LEAST_BITE_M, MOST_BITE_M = 0.003, 0.010
+GIVES_M = 0.0025
+"""By so much tissue follows thread that runs: 0.45 N over 0.2 N/mm (docs/simulator.md, physics of a pull)."""
 END_PX = 2.0
 """Points of a centreline lie so far apart, so that its last one is up to so far from where the thread ends."""
 BORDER_PX = 2.0 * END_PX
 """What ends so near to the border of an image leaves it."""
 WHICH = "name the tail's exit by its pixel (--exit-pixel U V)"
+NO_BITE = (
+    "no place is seen at which the thread passes through tissue as one curve, so its tail cannot be measured: lay both "
+    "strands nearly in line with the bite, clear of each other, and ask again"
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,7 @@ class Strands:
 
 @dataclass(frozen=True)
 class _Bite:
-    """One way to take a gap: ends on the reconstructed thread, or those of another strand.
+    """One way to take a gap.
 
     Fields:
         standing: as in `Strands`.
@@ -92,15 +99,15 @@ def strands_of(
     """
     if thread_covariance(thread, curve, np.zeros(1)) is None:
         raise NoGraspError("the reconstruction does not tell how well it knows the thread, so no tail can be measured")
-    bites = [*_on_one_curve(thread, curve), *_beside_another(thread, curve)] or [*_alone(thread, curve, meant, config)]
-    if not bites:
-        raise NoGraspError("no place is seen at which the thread passes through tissue, so it has no exit to pull from")
-    bite = _meant(bites, curve, config, meant, needle)
+    bite = _meant(
+        [*_on_one_curve(thread, curve)], [*_alone(thread, curve, meant, config)], curve, config, meant, needle
+    )
     depth_m = float(np.mean([bite.free_end.point_camera[2], bite.exit.point_camera[2]]))
     hidden = bite.free_end.sight is not EndSight.SEEN
     tail = tail_length(
         bite.points, bite.covariance, config.correlation_m, END_PX * depth_m / curve.camera.fx_px, hidden
     )
+    tail = replace(tail, deviation_m=float(np.hypot(tail.deviation_m, _beyond_m(bite, meant))))
     return Strands(bite.free_end, bite.exit, bite.entry, tail, bite.standing)
 
 
@@ -134,28 +141,6 @@ def _gaps(thread: ThreadReconstruction, curve: ThreadCurve) -> Iterator[tuple[fl
             yield start, end
 
 
-def _beside_another(thread: ThreadReconstruction, curve: ThreadCurve) -> Iterator[_Bite]:
-    """Ends of the reconstructed thread that face one of another strand."""
-    s = np.linspace(0.0, 1.0, SAMPLES)
-    own, own_covariance = curve.points(s), thread_covariance(thread, curve, s)
-    assert own_covariance is not None  # noqa: S101 - looked at before
-    tips = _end(thread, curve, 0.0), _end(thread, curve, 1.0)
-    for points, covariance in other_strands(thread.other_threads, curve.camera):
-        for mine, other in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
-            gap_m = float(np.linalg.norm(own[mine] - points[other]))
-            if not LEAST_GAP_M <= gap_m <= MOST_GAP_M:
-                continue
-            here = replace(tips[mine], sight=EndSight.SEEN)
-            far_place = -1 - other
-            there = StrandEnd(points[other], covariance[other], EndSight.SEEN)
-            far = StrandEnd(points[far_place], covariance[far_place], _in_view(curve, points[far_place]))
-            s_here = float(s[mine])
-            order = slice(None, None, -1) if other == 0 else slice(None)
-            yield _Bite(far, there, here, tips[-1 - mine], (s_here, 1.0 - s_here), points[order], covariance[order])
-            order = slice(None, None, -1) if mine == 0 else slice(None)
-            yield _Bite(tips[-1 - mine], here, there, far, None, own[order], own_covariance[order])
-
-
 def _alone(thread: ThreadReconstruction, curve: ThreadCurve, meant: Meant, config: PlannerConfig) -> Iterator[_Bite]:
     """A tail that ends where its exit was, and nearer to that than to where the entry was."""
     if meant.exit_camera is None or meant.entry_camera is None:
@@ -173,22 +158,45 @@ def _alone(thread: ThreadReconstruction, curve: ThreadCurve, meant: Meant, confi
             yield _Bite(tip, here, entry, entry, None, points[order], covariance[order])
 
 
+def _beyond_m(bite: _Bite, meant: Meant) -> float:
+    """Deviation of the tail where more is unseen than a bite takes, so that a part of the tail may be.
+
+    The exit lies anywhere in what the shortest bite leaves of the gap.
+    """
+    gap_m = _apart(bite.exit, bite.entry.point_camera)
+    most_m = MOST_BITE_M + (0.0 if meant.exit_camera is None else GIVES_M)
+    return 0.0 if gap_m <= most_m else (gap_m - LEAST_BITE_M) / np.sqrt(3.0)
+
+
 def _meant(
-    bites: list[_Bite], curve: ThreadCurve, config: PlannerConfig, meant: Meant, needle: NeedleAround | None
+    bites: list[_Bite],
+    alone: list[_Bite],
+    curve: ThreadCurve,
+    config: PlannerConfig,
+    meant: Meant,
+    needle: NeedleAround | None,
 ) -> _Bite:
-    if meant.exit_pixel is not None:
-        at, _ = project(curve.camera, np.stack([bite.exit.point_camera for bite in bites]))
-        off_px = np.linalg.norm(at - meant.exit_pixel, axis=1)
-        if off_px.min() > config.goal_within_px:
-            near = f"the nearest exit is {off_px.min():.0f} px from the pixel that was named"
-            raise NoGraspError(f"{near}, and at most {config.goal_within_px:.0f} px are accepted")
-        return bites[int(np.argmin(off_px))]
     if meant.exit_camera is not None and meant.entry_camera is not None:
         were = meant.exit_camera, meant.entry_camera
         off_m = [max(_apart(b.exit, were[0]), _apart(b.entry, were[1])) for b in bites]
-        if min(off_m) > MOST_GAP_M:
+        if bites and min(off_m) <= config.goal_within_m:
+            return bites[int(np.argmin(off_m))]
+        if alone:
+            return alone[0]
+        if bites:
             raise NoGraspError(f"exit and entry are not seen where they were: {1e3 * min(off_m):.0f} mm off")
-        return bites[int(np.argmin(off_m))]
+    if not bites:
+        raise NoGraspError(NO_BITE)
+    if meant.exit_pixel is not None:
+        at, _ = project(curve.camera, np.stack([bite.exit.point_camera for bite in bites]))
+        off_px = np.linalg.norm(at - meant.exit_pixel, axis=1)
+        nearest, next_ = np.argsort(off_px, kind="stable")[:2]
+        # the pixel means a hole as long as no other one is as near
+        within_px = 0.5 * float(np.linalg.norm(at[nearest] - at[next_]))
+        if off_px[nearest] > within_px:
+            near = f"the nearest exit is {off_px[nearest]:.0f} px from the pixel that was named"
+            raise NoGraspError(f"{near}, and at most {within_px:.0f} px are accepted here: {WHICH}")
+        return bites[int(nearest)]
     held = [b for b in bites if needle is not None and _apart(b.far, needle.swage_camera) <= config.goal_within_m]
     likely = held or [b for b in bites if b.free_end.sight is EndSight.SEEN and b.far.sight is not EndSight.SEEN]
     if len(likely) == 1:

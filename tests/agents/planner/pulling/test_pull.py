@@ -9,7 +9,7 @@ import pytest
 from agents.planner.agent import Planner, reaches_of
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import curve_of, pixels
+from agents.planner.curve import curve_of
 from agents.planner.needle import NeedleAround
 from agents.planner.pulling.segments import begin
 from agents.planner.pulling.way import Around, jaw_of
@@ -22,7 +22,6 @@ from schemas.messages import (
     PullGoal,
     PullStop,
     Status,
-    ThreadCandidate,
 )
 from schemas.topics import PLAN, TAIL, topic_of
 from shared.kinematics import psm
@@ -216,17 +215,7 @@ def test_what_is_seen_again_in_time_is_pulled_on_and_bounds_hold_for_all_segment
     assert field.steps.last is not None
 
 
-def test_a_tail_that_was_taken_for_the_thread_is_not_pulled_and_the_rejection_says_which_strand_to_name():
-    thread = bench.known(bench.straight((-18, 18, 80), (-3, 0, 80)), 0.1, 0.1, 0.3)
-    along = np.linspace(0.0, 1.0, 40)[:, None]
-    standing = 1e-3 * (ENTRY_MM + along * np.array((30, 6, 0)))
-    left, right = pixels(curve_of(thread), standing)
-    other = ThreadCandidate(0.9, left, right, 4.0, np.array([10, 10, 200]))
-    plan = first(thread=dataclasses.replace(thread, other_threads=(other,)))
-    assert "say that the other one is meant (suturegrasp prompt --pixel 517 27" in plan.reason
-
-
-def test_a_strand_that_is_not_in_one_curve_with_the_tail_is_not_guessed():
+def test_a_strand_that_is_not_in_one_curve_with_the_tail_is_not_pulled_whatever_was_seen_of_the_other_before():
     thread = threaded()
     s = thread.unseen[0, 1] + 0.01
     points = 1e3 * curve_of(thread).points(np.linspace(s, 1.0, 40))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import curve_of
+from agents.planner.curve import NoGraspError, curve_of
 from agents.planner.pulling.stopping import decide, straight
 from agents.planner.pulling.strands import Meant, strands_of
 from schemas.messages import EndSight, PullGrip, PullStop, TailLength
@@ -39,11 +39,17 @@ def away(mm):
     [
         (seen(25.0), grip(), 15.0, True, None, "shortened by 5.0 mm where the jaws took 5.0"),
         (seen(30.0), grip(), 9.0, False, None, "where the jaws took 0.0"),
-        (seen(20.4), grip(), 20.0, True, PullStop.REACHED, "20.0 mm were asked for"),
-        (seen(20.6), grip(), 19.4, True, None, ""),
-        (seen(27.0), grip(), 15.0, True, PullStop.TENSION, "it is held in the tissue"),
-        (seen(27.0), grip(), 15.0, False, PullStop.NOT_RUNNING, "slips through the jaws"),
-        (seen(27.0, deviation_mm=1.5), grip(), 15.0, True, None, ""),
+        # the lower bound of a tail known to ± 0.6 mm, and of one known to ± 1.5 mm the upper one, within 2 mm
+        (seen(21.0), grip(), 20.0, True, PullStop.REACHED, "20.0 mm were asked for"),
+        (seen(21.2), grip(), 19.4, True, None, ""),
+        (seen(20.9, deviation_mm=0.75), grip(), 20.0, True, PullStop.REACHED, "20.0 mm were asked for"),
+        (seen(21.1, deviation_mm=0.75), grip(), 20.0, True, None, ""),
+        (seen(21.0, deviation_mm=1.1), grip(), 20.0, True, PullStop.END_UNSEEN, "not known well enough"),
+        (seen(27.0), grip(), 15.0, True, None, ""),
+        (seen(27.0), grip(), 18.0, True, PullStop.TENSION, "it is held in the tissue"),
+        (seen(27.0), grip(), 18.0, False, PullStop.NOT_RUNNING, "slips through the jaws"),
+        (seen(27.0, deviation_mm=1.5), grip(), 18.0, True, None, ""),
+        (seen(29.0, EndSight.OUT_OF_VIEW), grip(), 15.0, True, None, "drew the entry by 0.0 mm"),
         (seen(25.0, EndSight.HIDDEN), grip(), 15.0, True, PullStop.END_UNSEEN, "is hidden: the tail is at least"),
         (seen(25.0, EndSight.OUT_OF_VIEW), None, 15.0, True, PullStop.END_UNSEEN, "is out of view"),
         (seen(27.0), None, 15.0, True, None, ""),
@@ -62,8 +68,16 @@ def test_the_free_end_stops_before_the_tissue_by_all_that_is_not_known_of_it():
 def test_tissue_that_follows_the_jaws_counts_as_thread_that_does_not_run():
     moved = seen(30.0)
     entry = dataclasses.replace(moved.entry, point_camera=moved.entry.point_camera + np.array((0, 0, -0.005)))
-    verdict = decide(0.02, dataclasses.replace(moved, entry=entry), grip(), away(15.0), True, CONFIG)
-    assert verdict.stop is PullStop.TENSION
+    drawn = dataclasses.replace(moved, entry=entry)
+    assert decide(0.02, drawn, grip(), away(15.0), True, CONFIG).stop is PullStop.TENSION
+    gone = dataclasses.replace(seen(30.0, EndSight.OUT_OF_VIEW), entry=entry)
+    assert decide(0.02, gone, grip(), away(15.0), True, CONFIG).stop is PullStop.END_UNSEEN
+
+
+@pytest.mark.parametrize("tail_mm", [32.0, 22.0])
+def test_what_grew_or_became_shorter_than_the_jaws_can_have_made_it_is_not_the_tail(tail_mm):
+    with pytest.raises(NoGraspError, match="is not the one that is pulled"):
+        decide(0.015, seen(tail_mm), grip(), away(15.0), True, CONFIG)
 
 
 def test_a_strand_is_straight_where_it_is_no_longer_than_the_way_to_the_jaws_or_is_not_seen_up_to_them():

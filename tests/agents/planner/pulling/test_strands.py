@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import NoGraspError, curve_of, pixels
+from agents.planner.curve import NoGraspError, curve_of
 from agents.planner.needle import NeedleAround
 from agents.planner.pulling.strands import Meant, strands_of
-from schemas.messages import EndSight, ThreadCandidate, ThreadCourse
+from schemas.messages import EndSight, ThreadCourse
 from tests.agents.planner import bench
-from tests.agents.planner.pulling.bench import BITE_MM, ENTRY_MM, path, threaded
+from tests.agents.planner.pulling.bench import BITE_MM, ENTRY_MM, threaded
 
 EXIT_MM = ENTRY_MM - np.array((BITE_MM, 0, 0))
 FAR_MM, FREE_MM = ENTRY_MM + np.array((30, 6, 0)), EXIT_MM + np.array((-15, 18, 0))
@@ -80,26 +80,15 @@ def test_what_an_instrument_hides_is_no_bite_of_tissue_nor_is_what_is_too_short_
     assert "does not tell how well" in refused(bench.polyline((0, 0, 80), (20, 0, 80)), EXIT_PX)
 
 
-def candidate(*corners, thread):
-    """Another strand as perception tells it."""
-    points, _ = path(corners, 60)
-    left, right = pixels(curve_of(thread), 1e-3 * points)
-    return ThreadCandidate(0.9, left, right[::-1], 4.0, np.array([10, 10, 200]))
-
-
-def test_a_tail_beside_the_reconstructed_strand_is_measured_and_the_strand_to_pull_has_to_be_reconstructed():
-    standing = bench.known(bench.straight(ENTRY_MM, FAR_MM), 0.1, 0.1, 0.3)
-    both = dataclasses.replace(standing, other_threads=(candidate(FREE_MM, EXIT_MM, thread=standing),))
-    told = found(both, EXIT_PX)
-    assert 1e3 * told.tail.length_m == pytest.approx(np.hypot(15, 18), abs=2.0)
-    np.testing.assert_allclose(1e3 * told.exit.point_camera, EXIT_MM, atol=0.5)
-    assert (told.standing, told.exit.s, told.entry.s) == ((0.0, 1.0), None, 0.0)
-    # the same seen the other way round: the tail is what was reconstructed
-    tail = bench.known(bench.straight(FREE_MM, EXIT_MM), 0.1, 0.1, 0.3)
-    turned = dataclasses.replace(tail, other_threads=(candidate(ENTRY_MM, FAR_MM, thread=tail),))
-    told = found(turned, EXIT_PX)
-    assert (told.standing, told.exit.s) == (None, 1.0)
-    assert told.tail.length_m == pytest.approx(1e-3 * np.hypot(15, 18))
+def test_where_more_is_unseen_than_a_bite_takes_the_exit_may_be_anywhere_in_it_and_the_interval_says_so():
+    thread = threaded(30.0)
+    (start, end), long_mm = thread.unseen[0], 1e3 * curve_of(thread).length_m
+    glint = dataclasses.replace(thread, unseen=np.array([[start - 5 / long_mm, end]]))
+    told = found(glint, EXIT_PX - np.array((50, 0))).tail
+    low_m, high_m = told.interval_m
+    assert told.length_m == pytest.approx(0.025, abs=5e-4)
+    assert low_m < 0.02
+    assert (high_m or 0.0) > 0.03
 
 
 def test_a_tail_that_is_left_alone_is_known_by_where_its_exit_was_and_the_standing_strand_is_not_taken_for_it():
