@@ -8,8 +8,8 @@ while the strand between entry and jaws is slack; where that is straight, it is 
 tension. What grew, or became shorter than the jaws can have made it, by more than the deviations is not the tail:
 another course was taken for the thread's, and nothing is measured.
 
-Where the free end has left the view the tail is still at least as long as what is seen of it, and the entry, which a
-knot draws along, tells whether thread runs: while at least a segment more is to run, jaws pull on.
+Where the free end is not seen any more the tail is still at least as long as what is seen of it, and the entry, which a
+knot draws along, tells whether thread is held: while at least a segment more is to run, jaws pull on.
 
 How much may run, r, is what the lower bound of the tail's interval is above what was asked for; or what its upper bound
 is above that and WITHIN_M, where that is more and the interval is so narrow that all of it lies within WITHIN_M then.
@@ -82,8 +82,7 @@ def decide(
         if ran_m < -unsure_m or (ran_m > travelled_m + unsure_m and not tail.at_least):
             raise NoGraspError(f"what is taken for the tail is not the one that is pulled: {told}{both}")
     low_m, high_m = tail.interval_m
-    away = strands.free_end.sight is EndSight.OUT_OF_VIEW
-    if grip is not None and away and low_m - tail_m >= config.pull_segment_m:
+    if grip is not None and high_m is None and low_m - tail_m >= config.pull_segment_m:
         drawn_m = float(np.linalg.norm(strands.entry.point_camera - grip.entry_camera))
         if strands.entry.sight is EndSight.SEEN and drawn_m <= GIVES_M + unsure_m:
             return Verdict(None, f"{told}, and the jaws drew the entry by {MM * drawn_m:.1f} mm", None, travelled_m)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, ThreadCurve, pixels
@@ -104,8 +104,11 @@ def strands_of(
     )
     depth_m = float(np.mean([bite.free_end.point_camera[2], bite.exit.point_camera[2]]))
     hidden = bite.free_end.sight is not EndSight.SEEN
+    # beyond the border nothing is seen, and what is told of it is a guess
+    gone = np.flatnonzero(~_inside(curve, bite.points)) if hidden else np.zeros(0, int)
+    shown = slice(int(gone[-1]) + 1 if len(gone) else 0, None)
     tail = tail_length(
-        bite.points, bite.covariance, config.correlation_m, END_PX * depth_m / curve.camera.fx_px, hidden
+        bite.points[shown], bite.covariance[shown], config.correlation_m, END_PX * depth_m / curve.camera.fx_px, hidden
     )
     tail = replace(tail, deviation_m=float(np.hypot(tail.deviation_m, _beyond_m(bite, meant))))
     return Strands(bite.free_end, bite.exit, bite.entry, tail, bite.standing)
@@ -232,7 +235,11 @@ def _hides(thread: ThreadReconstruction, curve: ThreadCurve, which: int) -> bool
 
 
 def _in_view(curve: ThreadCurve, point: Float64[np.ndarray, "3"]) -> EndSight:
-    """Whether a place lies in both images, and not at the border of one."""
+    return EndSight.SEEN if _inside(curve, point[None])[0] else EndSight.OUT_OF_VIEW
+
+
+def _inside(curve: ThreadCurve, points: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+    """Which places lie in both images, and not at the border of one."""
     last = np.array([curve.camera.image_width, curve.camera.image_height]) - 1.0 - BORDER_PX
-    inside = [bool(((px >= BORDER_PX) & (px <= last)).all()) for px in pixels(curve, point[None])]
-    return EndSight.SEEN if all(inside) else EndSight.OUT_OF_VIEW
+    left, right = pixels(curve, points)
+    return ((left >= BORDER_PX) & (left <= last) & (right >= BORDER_PX) & (right <= last)).all(axis=1)

@@ -50,6 +50,7 @@ def away(mm):
         (seen(27.0), grip(), 18.0, False, PullStop.NOT_RUNNING, "slips through the jaws"),
         (seen(27.0, deviation_mm=1.5), grip(), 18.0, True, None, ""),
         (seen(29.0, EndSight.OUT_OF_VIEW), grip(), 15.0, True, None, "drew the entry by 0.0 mm"),
+        (seen(29.0, EndSight.HIDDEN), grip(), 15.0, True, None, "drew the entry by 0.0 mm"),
         (seen(25.0, EndSight.HIDDEN), grip(), 15.0, True, PullStop.END_UNSEEN, "is hidden: the tail is at least"),
         (seen(25.0, EndSight.OUT_OF_VIEW), None, 15.0, True, PullStop.END_UNSEEN, "is out of view"),
         (seen(27.0), None, 15.0, True, None, ""),
