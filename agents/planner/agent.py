@@ -12,7 +12,7 @@ from agents.planner.learning import Attempt, next_attempt, same_attempt
 from agents.planner.needle import NeedleAround, needle_around
 from agents.planner.plan import plan_grasp
 from agents.planner.pulling.measuring import tail_of
-from agents.planner.pulling.segments import begin, go_on
+from agents.planner.pulling.segments import begin, go_on, let_go_unseen
 from agents.planner.pulling.way import Around, tool_places
 from agents.planner.refusal import RefusedGoalError, clock_unknown, planned_from, surface_unusable
 from agents.planner.tissue import tissue_of
@@ -156,10 +156,10 @@ class Planner(Agent):
         thread that is pulled, how long its tail is.
         """
         yield from self._tails(thread)
-        for plan in self._watch.resting(thread):
+        for plan, since_ms in self._watch.resting(thread):
             state = self._arms.get(plan.arm)
             if state is not None and plan.pull is not None and plan.pull.tail_m is not None:
-                yield from self._pull_on(plan, thread, state)
+                yield from self._pull_on(plan, thread, state, since_ms)
             elif state is not None and plan.goal is not None:
                 self._watch.goes_on(plan)
                 yield Output(PLAN, self._on(plan, thread, state))
@@ -183,12 +183,16 @@ class Planner(Agent):
                 needle = needle_around(self._needle, thread, seen_ns)
                 yield Output(TAIL, tail_of(plan, reached, thread, T_camera_tool, self.config, needle))
 
-    def _pull_on(self, plan: GraspPlan, thread: ThreadReconstruction, state: RobotState) -> Iterable[Output]:
+    def _pull_on(
+        self, plan: GraspPlan, thread: ThreadReconstruction, state: RobotState, since_ms: float
+    ) -> Iterable[Output]:
         """The next segment of a pull; none from a thread that does not tell how to go on, and the bridge waits."""
         seen_ns = max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns)
         needle = needle_around(self._needle, thread, seen_ns)
         around = Around(self._seen_tissue(thread, seen_ns), needle, self._other_tools(state))
         following = go_on(plan, thread, self._view(state), self.config, around)
+        if following is None and since_ms >= self.config.check_within_ms:
+            following = let_go_unseen(plan, thread, self._view(state), self.config)
         if following is not None:
             following = replace(following, maximum_frame_age_s=state.maximum_frame_age_s)
             self._watch.goes_on(plan)

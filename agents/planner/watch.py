@@ -86,9 +86,12 @@ class Watch:
         """The plans by which arms pull, each with its phase that was reached last."""
         return list(self._pulls.values())
 
-    def resting(self, thread: Thread) -> list[GraspPlan]:
-        """The plans of which a segment has ended before this thread was seen, by the clock of the arm's own bridge."""
-        return [rests.plan for arm, rests in self._resting.items() if _seen_ns(thread, arm) >= rests.at_ns]
+    def resting(self, thread: Thread) -> list[tuple[GraspPlan, float]]:
+        """The plans of which a segment has ended before this thread was seen, by the clock of the arm's own bridge, and
+        how many milliseconds before.
+        """
+        rests = [(ended.plan, 1e-6 * (_seen_ns(thread, arm) - ended.at_ns)) for arm, ended in self._resting.items()]
+        return [(plan, since_ms) for plan, since_ms in rests if since_ms >= 0]
 
     def goes_on(self, plan: GraspPlan) -> None:
         """A plan to go on by was made."""

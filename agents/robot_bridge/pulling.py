@@ -41,6 +41,7 @@ class Pulling:
     Fields:
         held, holds: the jaws held thread before the segment that is carried out; they will at its end.
         travelled_m: by closed jaws in all segments so far, the one that is carried out included.
+        says_stop: whether the planner's newest word does.
     """
 
     def __init__(self, plan: GraspPlan, bounds: PullBounds | None) -> None:
@@ -52,12 +53,13 @@ class Pulling:
         self._newest: Tail | None = None
 
     def hear(self, tail: Tail) -> None:
-        """Take the newest tail that was measured; one that could not be says nothing, and grows old."""
-        if tail.status is not Status.OK or (self._newest is not None and _seen_ns(tail) < _seen_ns(self._newest)):
-            return
-        self._newest = tail
-        # of several between two turns of the bridge, one is enough
+        """Take the newest tail that was measured; one that could not be grows old, and may say to stop.
+
+        Of several between two turns of the bridge, one word to stop is enough.
+        """
         self.says_stop = self.says_stop or tail.stop is not None
+        if tail.status is Status.OK and (self._newest is None or _seen_ns(tail) >= _seen_ns(self._newest)):
+            self._newest = tail
 
     def refusal(self, plan: GraspPlan, planned: Trajectory, setup: Setup, drift_m: float) -> Refusal | None:
         """Why a segment must not be carried out.

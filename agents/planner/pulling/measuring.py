@@ -10,7 +10,7 @@ from agents.planner.pulling.segments import meant_by
 from agents.planner.pulling.stopping import decide, straight
 from agents.planner.pulling.strands import strands_of
 from agents.planner.pulling.way import jaw_of
-from schemas.messages import GraspPlan, Phase, Status, Tail, ThreadReconstruction
+from schemas.messages import GraspPlan, Phase, PullStop, Status, Tail, ThreadReconstruction
 
 HOLDS = (Phase.GRASP, Phase.PULL)
 """Phases after which the jaws hold thread."""
@@ -32,17 +32,18 @@ def tail_of(
     pull = plan.pull
     assert pull is not None and pull.tail_m is not None  # noqa: S101 - asked of pulls alone
     told = plan.plan_id, plan.arm, thread.stamp
+    held = reached in HOLDS or (reached is None and plan.waypoints[0].phase is Phase.PULL)
     try:
         curve = curve_of(thread)
         strands = strands_of(thread, curve, config, meant_by(pull), needle)
-        held = reached in HOLDS or (reached is None and plan.waypoints[0].phase is Phase.PULL)
         grip, jaw = pull.grip if held else None, jaw_of(T_camera_tool, plan.depth_m or 0.0)
         is_straight = grip is not None and straight(thread, curve, strands, jaw, config)
         verdict = decide(pull.tail_m, strands, grip, jaw, is_straight, config)
     except NoGraspError as error:
-        why = str(error)
-        nothing = None, None, None, None, None, None, reached, None, why
-        return Tail(*told, Status.FAILED, why, pull.segment, pull.tail_m, *nothing)
+        # jaws that pull rest until the tail is measured again
+        stop = PullStop.END_UNSEEN if held else None
+        nothing = None, None, None, None, None, None, reached, stop, str(error)
+        return Tail(*told, Status.FAILED, str(error), pull.segment, pull.tail_m, *nothing)
     ends = strands.free_end, strands.exit, strands.entry
     judged = verdict.ran_m, verdict.travelled_m, reached, verdict.stop, verdict.sentence
     return Tail(*told, Status.OK, "", pull.segment, pull.tail_m, strands.tail, *ends, *judged)

@@ -116,6 +116,21 @@ def go_on(
     return replace(made, continues=plan.plan_id, depth_m=plan.depth_m, probability=plan.probability)
 
 
+def let_go_unseen(
+    plan: GraspPlan, thread: ThreadReconstruction, arm: ArmView, config: PlannerConfig
+) -> GraspPlan | None:
+    """Jaws that hold thread whose tail is not measured let go: the view is clear then, and no thread under tension.
+
+    None where they hold nothing.
+    """
+    was = plan.pull
+    if was is None or was.grip is None:
+        return None
+    why = "the tail is not measured while the jaws hold the strand, so that they let go, look, and grasp anew"
+    pull = replace(was, segment=was.segment + 1, bounds=None)
+    return _over(plan, f"pull-{plan.goal_id}.{was.segment + 1}", thread, arm, config, pull, Verdict(None, why))
+
+
 def meant_by(pull: Pull) -> Meant:
     """Which exit and entry are those of a pull that is under way."""
     if pull.exit is None or pull.entry is None:

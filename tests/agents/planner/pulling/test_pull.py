@@ -186,7 +186,10 @@ def test_thread_that_does_not_run_is_let_go():
 def test_a_thread_or_a_free_end_that_is_not_seen_any_more_holds():
     field = pulling()
     field.blind = True
-    assert field.to_the_end(20.0).ended == (HELD, "tail_lost")
+    began_mm = field.tail_mm
+    assert field.to_the_end(30.0).ended == (HELD, "segment")
+    assert began_mm - field.tail_mm < 1.5, "the segment ended as soon as that was seen"
+    assert {one.phase for one in field.plans[-1].waypoints} == {Phase.RELEASE}, "they let go meanwhile"
     field = pulling()
     field.run(20.0, lambda: field.ended[0] is RESTS)
     field.hides_end = True
