@@ -242,4 +242,5 @@ def _inside(curve: ThreadCurve, points: Float64[np.ndarray, "n 3"]) -> Bool[np.n
     """Which places lie in both images, and not at the border of one."""
     last = np.array([curve.camera.image_width, curve.camera.image_height]) - 1.0 - BORDER_PX
     left, right = pixels(curve, points)
-    return ((left >= BORDER_PX) & (left <= last) & (right >= BORDER_PX) & (right <= last)).all(axis=1)
+    inside = (left >= BORDER_PX) & (left <= last) & (right >= BORDER_PX) & (right <= last)
+    return inside[:, 0] & inside[:, 1]
