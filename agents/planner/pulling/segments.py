@@ -135,7 +135,8 @@ def meant_by(pull: Pull) -> Meant:
     """Which exit and entry are those of a pull that is under way."""
     if pull.exit is None or pull.entry is None:
         return Meant()
-    return Meant(exit_camera=pull.exit.point_camera, entry_camera=pull.entry.point_camera)
+    longest_m = None if pull.tail is None else pull.tail.interval_m[1]
+    return Meant(None, pull.exit.point_camera, pull.entry.point_camera, longest_m)
 
 
 def _pull(tail_m: float, segment: int, strands: Strands, grip: PullGrip | None, sentence: str) -> Pull:

@@ -41,11 +41,16 @@ NO_BITE = (
 
 @dataclass(frozen=True)
 class Meant:
-    """Which exit is meant: that at a pixel, or where exit and entry were a frame ago; neither where nothing tells."""
+    """Which exit is meant: that at a pixel, or where exit and entry were a frame ago; neither where nothing tells.
+
+    Fields:
+        longest_m: as long as the tail was at most; None where nobody has measured it to its end.
+    """
 
     exit_pixel: Float64[np.ndarray, "2"] | None = None
     exit_camera: Float64[np.ndarray, "3"] | None = None
     entry_camera: Float64[np.ndarray, "3"] | None = None
+    longest_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -111,6 +116,9 @@ def strands_of(
         bite.points[shown], bite.covariance[shown], config.correlation_m, END_PX * depth_m / curve.camera.fx_px, hidden
     )
     tail = replace(tail, deviation_m=float(np.hypot(tail.deviation_m, _beyond_m(bite, meant))))
+    if meant.longest_m is not None and tail.interval_m[0] > meant.longest_m:
+        at_most = f"a tail of {1e3 * meant.longest_m:.1f} mm at most"
+        raise NoGraspError(f"what is taken for {at_most} is {1e3 * tail.length_m:.1f} mm long, and is another strand")
     return Strands(bite.free_end, bite.exit, bite.entry, tail, bite.standing)
 
 

@@ -97,6 +97,7 @@ def test_a_tail_that_is_left_alone_is_known_by_where_its_exit_was_and_the_standi
     told = found(tail, **were)
     assert told.tail.length_m == pytest.approx(1e-3 * np.hypot(15, 18))
     assert (told.standing, told.entry.sight) == (None, EndSight.HIDDEN)
+    assert "is another strand" in refused(tail, **were, longest_m=0.02)
     standing = bench.known(bench.straight(ENTRY_MM, FAR_MM), 0.1, 0.1, 0.3)
     none = "no place is seen at which the thread passes through tissue"
     assert none in refused(standing, **were)
