@@ -41,7 +41,7 @@ class Pulling:
     Fields:
         held, holds: the jaws held thread before the segment that is carried out; they will at its end.
         travelled_m: by closed jaws in all segments so far, the one that is carried out included.
-        says_stop: whether the planner's newest word does.
+        says_stop: whether a word of the planner has, since the segment began.
     """
 
     def __init__(self, plan: GraspPlan, bounds: PullBounds | None) -> None:
