@@ -2,7 +2,7 @@
 
 import importlib.util
 import json
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -39,14 +39,19 @@ THREADS, GOALS = (1, 3), (5, 20)
 
 def run(options: Evaluate) -> int:
     """Try what is left; the exit status."""
+    return taken_up(options.output, lambda: _evaluated(options))
+
+
+def taken_up(output: Path, evaluated: Callable[[], int]) -> int:
+    """The exit status of an evaluation that has a folder to itself; what keeps it from one is a sentence."""
     try:
-        options.output.mkdir(parents=True, exist_ok=True)
-        with alone(options.output, "evaluation"):
-            return _evaluated(options)
+        output.mkdir(parents=True, exist_ok=True)
+        with alone(output, "evaluation"):
+            return evaluated()
     except (ConfigError, SceneError, WorkError) as error:
         return complain(str(error), EXIT_UNUSABLE)
     except OSError as error:
-        return complain(f"{options.output} cannot be used: {error.strerror or error}", EXIT_UNUSABLE)
+        return complain(f"{output} cannot be used: {error.strerror or error}", EXIT_UNUSABLE)
 
 
 def _evaluated(options: Evaluate) -> int:

@@ -3,15 +3,14 @@
 import json
 from collections.abc import Callable, Generator
 
-from agents.cli.alone import alone
-from agents.cli.evaluate.command import DOCUMENT, EXIT_LEFT, JOURNAL, PAGE, shown
+from agents.cli.evaluate.command import DOCUMENT, EXIT_LEFT, JOURNAL, PAGE, shown, taken_up
 from agents.cli.evaluate.options import EvaluatePulling
 from agents.cli.evaluate.pulling_field import Eyes, PullField
 from agents.cli.evaluate.pulling_planner import InStep
 from agents.cli.evaluate.trials import rig_for
-from agents.cli.evaluate.workers import WorkError, shared_out
+from agents.cli.evaluate.workers import shared_out
 from agents.cli.whole_file import whole_file
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
+from agents.launch.process import EXIT_OK
 from agents.simulated_trials.pulling.driving import Driver, Task
 from agents.simulated_trials.pulling.protocol import (
     PullCame,
@@ -27,9 +26,8 @@ from agents.simulated_trials.pulling.trial import Bench, pulled
 from agents.simulator.field import MM
 from shared.camera import project
 from shared.clock import processor_s
-from shared.rendering.render import SceneError
 from shared.runtime.config import ConfigError, parse_config
-from shared.terminal import complain, say, show
+from shared.terminal import say, show
 
 METHOD = "refined"
 
@@ -40,14 +38,7 @@ DRIVERS: dict[str, Callable[[Task], Driver]] = {"planner": InStep}
 
 def run(options: EvaluatePulling) -> int:
     """Try what is left; the exit status."""
-    try:
-        options.output.mkdir(parents=True, exist_ok=True)
-        with alone(options.output, "evaluation"):
-            return _evaluated(options)
-    except (ConfigError, SceneError, WorkError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
-    except OSError as error:
-        return complain(f"{options.output} cannot be used: {error.strerror or error}", EXIT_UNUSABLE)
+    return taken_up(options.output, lambda: _evaluated(options))
 
 
 def _evaluated(options: EvaluatePulling) -> int:
@@ -84,8 +75,7 @@ def protocol_of(options: EvaluatePulling) -> PullProtocol:
     if options.jobs < 1:
         raise ConfigError(f"--jobs {options.jobs}: give 1 or more")
     if options.puller not in DRIVERS:
-        known = ", ".join(DRIVERS) or "none is there"
-        raise ConfigError(f"--puller {options.puller} is not known; known: {known}")
+        raise ConfigError(f"--puller {options.puller} is not known; known: {', '.join(DRIVERS)}")
     told = {
         "puller": options.puller,
         "seed": options.seed,
