@@ -1,25 +1,31 @@
-"""What speaks for a line being thread: python -m benchmarks.training.line_odds --scenes DIR --judged DIR.
+"""What speaks for a line and for its end: python -m benchmarks.training.line_odds --scenes DIR --judged DIR.
 
-Lines of scenes with known truth (`segmentation.network.lines_in`), seen as they are and through worse cameras, are told
-thread from none by logistic regression. What it finds is printed, and then, of scenes that it was not fitted to, how
-many lines of each probability are thread: a fit that is calibrated has as many as it says.
+Lines of scenes with known truth (`segmentation.network.lines_in`), and their ends that look like metal
+(`segmentation.line_ends`), seen as they are and through worse cameras, are told thread from none by logistic
+regression. What it finds is printed, and then, of scenes that it was not fitted to, how many of each probability are
+thread: a fit that is calibrated has as many as it says.
 """
 
 import argparse
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Bool, Float64, Int64, UInt8
 from scipy.optimize import minimize
 
-from agents.perception.segmentation.classes import as_usual, thread_score
-from agents.perception.segmentation.network import WEIGHTS, evidence, lines_in
+from agents.perception.segmentation import line_ends, network
+from agents.perception.segmentation.boxes import extents
+from agents.perception.segmentation.classes import ThreadScore, as_usual, thread_score
 from benchmarks.training.scenes import View, views_in
 
 Image = UInt8[np.ndarray, "h w 3"]
+Parts = tuple[Float64[np.ndarray, "n k"], Int64[np.ndarray, "p"], Int64[np.ndarray, "p"]]
+"""What each part of an image shows, the indices of the parts' pixels, and which part each of these belongs to."""
+Judged = tuple[Float64[np.ndarray, "n k"], Bool[np.ndarray, "n"], Float64[np.ndarray, "n"]]
+"""What each part shows, whether most of it is thread, and its length in pixels."""
 AS_IT_IS = 0.2
 """Of the views; the others are seen through a worse camera."""
 COVERED, BESIDE_PX = 60, 3
@@ -37,11 +43,12 @@ def main() -> None:
     parser.add_argument("--judged", type=Path, nargs="*", default=[], help="folders of other scenes")
     parser.add_argument("--seed", type=int, default=5, help="of the worse cameras")
     options = parser.parse_args()
-    shown, is_thread, length = _lines(options.scenes, np.random.default_rng(options.seed))
-    weights = _fitted(shown, is_thread, np.minimum(length, WHOLE_PX) / WHOLE_PX)
-    print(f"{len(length)} lines, {is_thread.mean():.0%} of them thread: {np.round(weights, 2).tolist()}")
-    if options.judged:
-        _print_judged(*_lines(options.judged, np.random.default_rng(options.seed + 1)))
+    for name, parts_of, weights in (("ends", _ends, line_ends.WEIGHTS), ("lines", _lines, network.WEIGHTS)):
+        shown, is_thread, length = _parts(options.scenes, np.random.default_rng(options.seed), parts_of)
+        fitted = _fitted(shown, is_thread, np.minimum(length, WHOLE_PX) / WHOLE_PX)
+        print(f"{len(length)} {name}, {is_thread.mean():.0%} of them thread: {np.round(fitted, 2).tolist()}")
+        if options.judged:
+            _print_judged(*_parts(options.judged, np.random.default_rng(options.seed + 1), parts_of), weights)
 
 
 def worse(image: Image, rng: np.random.Generator) -> Image:
@@ -64,33 +71,36 @@ def worse(image: Image, rng: np.random.Generator) -> Image:
     return pixels
 
 
-def _lines(
-    folders: list[Path], rng: np.random.Generator
-) -> tuple[Float64[np.ndarray, "n k"], Bool[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
-    """Of each line of all views what it shows, whether most of it is thread, and its length."""
-    parts = list(_of_views(views_in(folders), rng))
-    return (
-        np.concatenate([shown for shown, _, _ in parts]),
-        np.concatenate([is_thread for _, is_thread, _ in parts]),
-        np.concatenate([length for _, _, length in parts]),
-    )
+def _lines(score: ThreadScore) -> Parts:
+    lines = network.lines_in(score)
+    return network.evidence(lines), lines.pixel, lines.line.astype(np.int64)
+
+
+def _ends(score: ThreadScore) -> Parts:
+    ends = line_ends.ends_of(score, network.higher_than_around(score))
+    return ends.evidence, ends.pixel, ends.end
+
+
+def _parts(folders: list[Path], rng: np.random.Generator, parts_of: Callable[[ThreadScore], Parts]) -> Judged:
+    """The parts of all views in these folders."""
+    shown, is_thread, length = zip(*_of_views(views_in(folders), rng, parts_of), strict=True)
+    return np.concatenate(shown), np.concatenate(is_thread), np.concatenate(length)
 
 
 def _of_views(
-    views: list[View], rng: np.random.Generator
-) -> Iterator[tuple[Float64[np.ndarray, "n k"], Bool[np.ndarray, "n"], Float64[np.ndarray, "n"]]]:
+    views: list[View], rng: np.random.Generator, parts_of: Callable[[ThreadScore], Parts]
+) -> Iterator[Judged]:
     for view in views:
         image = as_usual(view.image if rng.random() < AS_IT_IS else worse(view.image, rng))
-        lines = lines_in(thread_score(image))
+        shown, pixel, part = parts_of(thread_score(image))
         coverage = cv2.resize(view.coverage, image.shape[1::-1], interpolation=cv2.INTER_AREA)
         side = 2 * BESIDE_PX + 1
         thread = np.asarray(cv2.dilate(coverage, np.ones((side, side), np.uint8))) >= COVERED
-        count = len(lines.length_px)
-        share = np.bincount(lines.line, thread.ravel()[lines.pixel], count) / np.maximum(
-            np.bincount(lines.line, minlength=count), 1
-        )
-        long = lines.length_px >= SHORTEST_PX
-        yield evidence(lines)[long], share[long] > 0.5, lines.length_px[long]
+        count = len(shown)
+        share = np.bincount(part, thread.ravel()[pixel], count) / np.maximum(np.bincount(part, minlength=count), 1)
+        length = extents(part.astype(np.int32), pixel, image.shape[1], count)
+        long = length >= SHORTEST_PX
+        yield shown[long], share[long] > 0.5, length[long]
 
 
 def _fitted(
@@ -106,15 +116,18 @@ def _fitted(
 
 
 def _print_judged(
-    shown: Float64[np.ndarray, "n k"], is_thread: Bool[np.ndarray, "n"], length: Float64[np.ndarray, "n"]
+    shown: Float64[np.ndarray, "n k"],
+    is_thread: Bool[np.ndarray, "n"],
+    length: Float64[np.ndarray, "n"],
+    weights: tuple[float, ...],
 ) -> None:
-    """By the weights in use, in bins of probability: lines, what they are said to be, what they are; by length."""
-    said = 1 / (1 + np.exp(-shown @ WEIGHTS))
+    """By the weights in use, in bins of probability: parts, what they are said to be, what they are; by length."""
+    said = 1 / (1 + np.exp(-shown @ weights))
     for low, high in itertools.pairwise(BINS):
         here = (said >= low) & (said <= high)
         if here.any():
             told, true = (np.average(each[here], weights=length[here]) for each in (said, is_thread))
-            print(f"{low:.1f} to {high:.1f}: {here.sum()} lines, said {told:.2f}, thread {true:.2f}")
+            print(f"{low:.1f} to {high:.1f}: {here.sum()}, said {told:.2f}, thread {true:.2f}")
 
 
 if __name__ == "__main__":

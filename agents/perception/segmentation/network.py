@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from agents.perception.segmentation.boxes import Meant, Near, extents, of_pixels, piece_meant
 from agents.perception.segmentation.classes import ThreadScore, as_usual, resized, thread_score
+from agents.perception.segmentation.line_ends import without_needles
 
 LEAST_COVERAGE = 96
 """Of a pixel by thread, where thread was found in a larger copy: a thread thinner than a pixel may fall between two."""
@@ -18,7 +19,7 @@ is as wide as the thread is, wherever it is faint."""
 WEIGHTS = 0.9, 0.32, 0.51, -1.0
 """Of what speaks for a line's being thread (`evidence`), in log-odds: fitted by `benchmarks.training.line_odds`."""
 LEAST_LOG_ODDS = math.log(2)
-"""From which a line counts as thread: a false one costs twice what a missed one does."""
+"""From which a line, or its end, counts as thread: a false one costs twice what a missed one does."""
 
 
 def segment_network(
@@ -79,10 +80,8 @@ def evidence(lines: Lines) -> Float64[np.ndarray, "c 4"]:
 
 
 def lines_in(score: ThreadScore) -> Lines:
-    """The lines of a score, with what each shows."""
-    thread = np.ascontiguousarray(score[..., 0])
-    best = np.asarray(cv2.dilate(thread, np.ones((2 * AROUND_PX + 1, 2 * AROUND_PX + 1), np.uint8)))
-    is_line = (thread >= FAINTEST) & (thread >= cv2.convertScaleAbs(best, alpha=BORDER))
+    """The lines of a score, without needles at their ends, with what each shows."""
+    is_line = without_needles(score, higher_than_around(score), LEAST_LOG_ODDS)
     count, labelled = cv2.connectedComponents(is_line.view(np.uint8), connectivity=8)
     # few pixels are that high, and looking at them alone takes a third of the time
     pixel = np.flatnonzero(is_line)
@@ -92,4 +91,11 @@ def lines_in(score: ThreadScore) -> Lines:
     against = np.log(of_thread / others)
     pixels = np.maximum(np.bincount(line, minlength=count), 1)
     of_ground, of_metal = (np.bincount(line, each, count) / pixels for each in against)
-    return Lines(pixel, line, extents(line, pixel, thread.shape[1], count), of_ground, of_metal)
+    return Lines(pixel, line, extents(line, pixel, score.shape[1], count), of_ground, of_metal)
+
+
+def higher_than_around(score: ThreadScore) -> Bool[np.ndarray, "h w"]:
+    """Pixels that are likelier thread than their surroundings."""
+    thread = np.ascontiguousarray(score[..., 0])
+    best = np.asarray(cv2.dilate(thread, np.ones((2 * AROUND_PX + 1, 2 * AROUND_PX + 1), np.uint8)))
+    return (thread >= FAINTEST) & (thread >= cv2.convertScaleAbs(best, alpha=BORDER))

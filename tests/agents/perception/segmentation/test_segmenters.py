@@ -136,6 +136,20 @@ def test_a_line_is_thread_where_enough_speaks_for_it_as_a_whole(thread, length_p
     assert thread_in(score).any() == is_thread
 
 
+@pytest.mark.parametrize(
+    ("columns", "rest", "is_kept"),
+    [(slice(200, 260), 200, False), (slice(120, 180), 200, True), (slice(200, 260), 250, True)],
+    ids=["a needle at the end", "within the line", "at the end of what is surely thread"],
+)
+def test_what_looks_like_metal_ends_a_line_at_its_end_alone(columns, rest, is_kept):
+    score = np.zeros((60, 300, 2), np.uint8)
+    score[28:33, 40:260] = rest, 255 - rest
+    score[28:33, columns] = 100, 120
+    found = thread_in(score)
+    assert found[30, 40:120].all() and found[30, 180:200].all()
+    assert found[30, columns].all() == found[30, columns].any() == is_kept
+
+
 PLACES = st.lists(
     st.tuples(st.integers(0, 199), st.integers(0, 339), st.integers(1, 90), st.integers(1, 90)), max_size=6
 )
