@@ -307,7 +307,7 @@ def shares_of(true: TrueThread, result: PipelineResult) -> Row:
     seen = result.observations
     lines, truth = (seen.centrelines_left, seen.centrelines_right), project(seen.camera, true.points)
     both = [shares(*of_eye) for of_eye in zip(lines, truth, true.visible.T, strict=True)]
-    counts = {name: sum(getattr(part, name) for part in both) for name in ("found", "true", "right", "given")}
+    counts: Row = {name: sum(getattr(part, name) for part in both) for name in ("found", "true", "right", "given")}
     for name, of in (("off px", "apart_px"), ("said px", "deviation_px")):
         values = np.concatenate([getattr(part, of) for part in both])
         counts[name] = float(np.sqrt(np.mean(values**2))) if len(values) else None
