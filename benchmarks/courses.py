@@ -36,8 +36,7 @@ from schemas.messages import Centrelines, ThreadObservations
 from shared.arc_length import even_parameters
 from shared.camera import project
 from shared.disparities import disparities_of
-from shared.rendering.__main__ import make_scene
-from shared.rendering.render import BACKGROUNDS, SceneError, render
+from shared.rendering.render import BACKGROUNDS, SceneError, make_scene, render
 from shared.rendering.thread_shapes import ShapeError
 from shared.splines import evaluate
 

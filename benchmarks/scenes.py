@@ -22,6 +22,7 @@ from benchmarks.hiding_tool import hiding_shaft
 from schemas.messages import StereoCalibration
 from shared.arc_length import even_parameters
 from shared.calibration import read_calibration
+from shared.calibration.estimation.projection import rectifying
 from shared.calibration.uncertainty import ERRORS
 from shared.rectification import rectification
 from shared.rigid_transforms import transform
@@ -210,7 +211,7 @@ class Run:
         masks: None where the images have to be segmented.
         masks_are: `none` then, otherwise where they come from.
         calibration_is: what is wrong with the scene's calibration, empty where nothing is.
-        R_rectified_camera: how that turns the frame of the result against the frame of the truth.
+        R_rectified_camera: how rectification by that turns the left camera, and so the result against the truth.
     """
 
     scene: Scene
@@ -231,7 +232,7 @@ def runs(scene: Scene) -> Iterator[Run]:
     binary = [np.where(mask >= SEGMENTED, 255, 0).astype(np.uint8) for mask in scene.masks]
     yield Run(scene, (binary[0], binary[1]), BINARY)
     for name, wrong in wrong_calibrations(scene.calibration):
-        yield Run(replace(scene, calibration=wrong), scene.masks, scene.masks_are, name, _turn_of_left(wrong))
+        yield Run(replace(scene, calibration=wrong), scene.masks, scene.masks_are, name, rectifying(wrong)[0])
 
 
 def wrong_calibrations(calibration: StereoCalibration) -> Iterator[tuple[str, StereoCalibration]]:
@@ -247,11 +248,3 @@ def wrong_calibrations(calibration: StereoCalibration) -> Iterator[tuple[str, St
         turned = np.array(calibration.T_right_left)
         turned[:3, :3] = cv2.Rodrigues(np.radians(TURN_DEG) * np.array(direction))[0] @ turned[:3, :3]
         yield f"{axis} 0.1°", replace(calibration, T_right_left=turned)
-
-
-def _turn_of_left(calibration: StereoCalibration) -> Float64[np.ndarray, "3 3"]:
-    """How rectification turns the left camera, whose lens is free of distortion: R_rectified_left."""
-    size = (calibration.image_width, calibration.image_height)
-    R, t = np.array(calibration.T_right_left[:3, :3]), calibration.T_right_left[:3, 3:].copy()
-    K_left, K_right = np.array(calibration.K_left), np.array(calibration.K_right)
-    return np.asarray(cv2.stereoRectify(K_left, np.zeros(5), K_right, np.zeros(5), size, R, t, alpha=-1)[0])

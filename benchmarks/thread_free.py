@@ -14,11 +14,9 @@ import numpy as np
 from agents.camera.scene_source import calibration_of
 from agents.cli.reconstruct.pipeline import Pair
 from benchmarks.scenes import Scene, rendered
-from schemas.messages import RectifiedStereo
-from shared.rendering.render import RENDERED, TISSUE, render_backdrop
+from shared.rendering.render import ENDOSCOPE, RENDERED, TISSUE, render_backdrop
 from shared.rendering.sensor import Sensor, expose, grain
 
-CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
 NEAREST_MM, FARTHEST_MM = 70.0, 120.0
 FRAMES_OF_ONE_TISSUE = 5
 """The same tissue under other noise is cheaper to render, and each frame is a chance of its own to be wrong."""
@@ -49,20 +47,20 @@ def _drawn(frames: int, seed: int) -> Iterator[Scene]:
     for tissue in range(-(-frames // FRAMES_OF_ONE_TISSUE)):
         rng = np.random.default_rng([seed, tissue, SALT])
         distance_mm = float(rng.uniform(NEAREST_MM, FARTHEST_MM))
-        backdrop = render_backdrop(CAMERA, TISSUE, distance_mm, int(rng.integers(1 << 30)))
+        backdrop = render_backdrop(ENDOSCOPE, TISSUE, distance_mm, int(rng.integers(1 << 30)))
         images = backdrop.left_bgr, backdrop.right_bgr
         for frame in range(min(FRAMES_OF_ONE_TISSUE, frames - tissue * FRAMES_OF_ONE_TISSUE)):
             name = f"{tissue}_{frame}"
-            yield Scene("drawn tissue", name, _exposed(images, Sensor(), rng), calibration_of(CAMERA))
+            yield Scene("drawn tissue", name, _exposed(images, Sensor(), rng), calibration_of(ENDOSCOPE))
 
 
 def _over_fields(frames: int, seed: int) -> Iterator[Scene]:
     """The fields in turn, each time from another distance."""
     for frame in range(frames):
         rng = np.random.default_rng([seed, frame, SALT + 1])
-        backdrop = render_backdrop(CAMERA, RENDERED, float(rng.uniform(NEAREST_MM, FARTHEST_MM)), 1 + frame)
+        backdrop = render_backdrop(ENDOSCOPE, RENDERED, float(rng.uniform(NEAREST_MM, FARTHEST_MM)), 1 + frame)
         images = _varied((backdrop.left_bgr, backdrop.right_bgr), rng)
-        yield Scene("rendered fields", str(frame), _exposed(images, Sensor(), rng), calibration_of(CAMERA))
+        yield Scene("rendered fields", str(frame), _exposed(images, Sensor(), rng), calibration_of(ENDOSCOPE))
 
 
 def _stored(folders: Sequence[Path]) -> list[Path]:

@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from schemas.messages import RectifiedStereo
-from shared.rendering.__main__ import ENDOSCOPE
 from shared.rendering.centreline import Thread, sample_centreline, shifted_to_right
 from shared.rendering.compositing import cast_shadow, lay_over, shade_tube
-from shared.rendering.render import COLOURS, Backdrop, render_backdrop
+from shared.rendering.render import COLOURS, ENDOSCOPE, Backdrop, render_backdrop
 from shared.rendering.sensor import Sensor, expose, grain
 from shared.rendering.thread_shapes import CONFIGS, ShapeError, thread_on
 from shared.rendering.tissue import GAMMA, vignette
