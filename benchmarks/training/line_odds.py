@@ -5,13 +5,14 @@ thread from none by logistic regression. What it finds is printed, and then, of 
 many lines of each probability are thread: a fit that is calibrated has as many as it says.
 """
 
-import argparse
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+import tyro
 from jaxtyping import Bool, Float64, UInt8
 from scipy.optimize import minimize
 
@@ -30,13 +31,21 @@ RIDGE = 0.05
 BINS = 0, 0.1, 0.3, 0.5, 0.7, 0.9, 1
 
 
+@dataclass(frozen=True)
+class Options:
+    """What is fitted, and judged."""
+
+    scenes: tuple[Path, ...]
+    """Folders of scenes to fit to."""
+    judged: tuple[Path, ...] = ()
+    """Folders of other scenes."""
+    seed: int = 5
+    """Of the worse cameras."""
+
+
 def main() -> None:
     """Fit and judge."""
-    parser = argparse.ArgumentParser(description="Fit what speaks for a line of a score being thread.")
-    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of scenes to fit to")
-    parser.add_argument("--judged", type=Path, nargs="*", default=[], help="folders of other scenes")
-    parser.add_argument("--seed", type=int, default=5, help="of the worse cameras")
-    options = parser.parse_args()
+    options = tyro.cli(Options, description=__doc__)
     shown, is_thread, length = _lines(options.scenes, np.random.default_rng(options.seed))
     weights = _fitted(shown, is_thread, np.minimum(length, WHOLE_PX) / WHOLE_PX)
     print(f"{len(length)} lines, {is_thread.mean():.0%} of them thread: {np.round(weights, 2).tolist()}")
@@ -65,7 +74,7 @@ def worse(image: Image, rng: np.random.Generator) -> Image:
 
 
 def _lines(
-    folders: list[Path], rng: np.random.Generator
+    folders: Sequence[Path], rng: np.random.Generator
 ) -> tuple[Float64[np.ndarray, "n k"], Bool[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
     """Of each line of all views what it shows, whether most of it is thread, and its length."""
     parts = list(_of_views(views_in(folders), rng))
