@@ -1,30 +1,8 @@
-"""What the images allow: a Cramér-Rao bound on the mean error of any curve that is estimated from them.
+"""What the images allow: a Bayesian Cramér-Rao bound on the mean error of any curve that is estimated from them.
 
-The truth is a cubic spline B(s) = Σ_k N_k(s) P_k with as many control points as it needs. A curve near it is
-B + a e₁ + b e₂, where e₁ and e₂ span the plane normal to it and turn with it as little as possible, and a, b are
-splines of the same control points (a displacement along the thread is no other curve). In each image one pixel of
-length gives one independent observation of the distance across the thread,
-
-    r = nᵀ π'(B) (a e₁ + b e₂) + noise of variance σ²,
-
-n being the normal of the projected thread, and π' the derivative of the projection. Their information about the
-coefficients is F = Σ JᵀJ / σ² over the pixels of both images that show the thread.
-
-Where the thread runs along the rows, or is hidden, F alone knows almost nothing. An estimate may also know that
-threads are smooth; it is granted no more than the truth's own: third differences of a and b are taken for normal
-with the mean square of those of P. The posterior covariance (F + Λ)⁻¹ then bounds the expected error (the Bayesian
-Cramér-Rao bound, van Trees 1968), and the mean error of a normal variable in the normal plane with standard deviations
-σ₁ ≥ σ₂ along its axes is σ₁ √(2/π) E(1 − σ₂²/σ₁²), with E the complete elliptic integral of the second kind.
-
-σ is how exactly one pixel's length of a thread shows where its centre lies. In an image: the place t of a known
-profile I(t) among pixels of white noise σ_I can be told with a variance of at least σ_I² / Σ I'(t)², the sum over the
-pixels across the thread (the Cramér-Rao bound of a shift). The profile is the image's own along the true centreline,
-averaged along the thread; σ_I is what remains of the image's second differences (Immerkær 1996), and at least the
-rounding to whole grey levels.
-
-That is what the pixels allow, with everything else about the thread's looks known. What a centreline that is measured
-in the image, or in a mask, achieves is told by its own deviation from a smooth line: second differences of centroids
-across the thread that share no pixel. What varies slowly along the thread is no noise, and averages away for nobody.
+Derived in docs/testing.md, whose names are those used here: the spline B of control points P, displacements a and b
+across it with coefficients c, Fisher's information F = Σ JᵀJ / σ² of the pixels of both images that show the thread,
+and Λ, which grants an estimate no more smoothness than the truth's own.
 """
 
 from dataclasses import dataclass
@@ -34,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from scipy.special import ellipe
 
-from benchmarks.scenes import Pair
+from benchmarks.scenes import Pair, TrueThread
 from schemas.messages import RectifiedStereo
 from shared.camera import project
 from shared.splines import basis_matrix, clamped_uniform_knots, difference_matrix
@@ -52,7 +30,6 @@ class Bound:
 
     whole: float
     seen: float | None
-    control_points: int
 
 
 def bound(
@@ -85,28 +62,17 @@ def bound(
     spread = np.array([[np.einsum("qi,ij,qj->q", N[at], block, N[at]) for block in row] for row in blocks])
     error = mean_distance(np.moveaxis(spread, 2, 0))
     seen = visible[at].sum(axis=1) == 2
-    return Bound(float(error.mean()), float(error[seen].mean()) if seen.any() else None, m)
+    return Bound(float(error.mean()), float(error[seen].mean()) if seen.any() else None)
 
 
-def bounds_of(
-    camera: RectifiedStereo,
-    truth: Float64[np.ndarray, "n 3"],
-    visible: Bool[np.ndarray, "n 2"],
-    images: Pair,
-    masks: Pair | None,
-) -> dict[str, float | None]:
+def bounds_of(camera: RectifiedStereo, true: TrueThread, images: Pair, masks: Pair | None) -> dict[str, float | None]:
     """Bounds from the pixels of the images, and from the centroids of the masks or, without any, of the images."""
-    px = project(camera, truth)
-    pixels = [pixel_noise_px(image, px[eye], visible[:, eye]) for eye, image in enumerate(images)]
-    centroids = [centroid_noise_px(image, px[eye], visible[:, eye]) for eye, image in enumerate(masks or images)]
-    by_pixels = bound(camera, truth, visible, (pixels[0], pixels[1]))
-    by_centroids = bound(camera, truth, visible, (centroids[0], centroids[1]))
-    return {
-        "pixel bound": by_pixels.whole,
-        "bound": by_centroids.whole,
-        "bound seen": by_centroids.seen,
-        "centre noise px": float(np.median(np.concatenate(centroids)[np.isfinite(np.concatenate(centroids))])),
-    }
+    shown = list(zip(project(camera, true.points), true.visible.T, strict=True))
+    pixels = [pixel_noise_px(image, *of) for image, of in zip(images, shown, strict=True)]
+    centroids = [centroid_noise_px(image, *of) for image, of in zip(masks or images, shown, strict=True)]
+    by_pixels = bound(camera, true.points, true.visible, (pixels[0], pixels[1]))
+    by_centroids = bound(camera, true.points, true.visible, (centroids[0], centroids[1]))
+    return {"pixel bound": by_pixels.whole, "bound": by_centroids.whole, "bound seen": by_centroids.seen}
 
 
 def needed_spline(

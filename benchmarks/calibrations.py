@@ -8,19 +8,18 @@ across the thread: as the camera frame has them, by the whole covariance; and as
 transform was found through the same camera, by the posterior, which leaves out what that takes back.
 """
 
-import argparse
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+import tyro
 from jaxtyping import Float64
 
-from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.reconstruction.methods import METHODS
 from benchmarks.measures import BELIEVED_PLACES, covariance_at
-from benchmarks.scenes import CLEAR, CROSSING, scenes
+from benchmarks.scenes import CLEAR, CROSSING, reconstructed, scenes
 from schemas.messages import RectifiedStereo, Status, ThreadObservations
 from shared.arc_length import even_parameters
 from shared.calibration.uncertainty import ERRORS, USUAL, bending, displacements, field_of, usual_covariance
@@ -31,34 +30,41 @@ from shared.splines import evaluate
 METHOD = "refined"
 
 
+@dataclass(frozen=True)
+class Options:
+    """Which scenes, and how many calibrations of each."""
+
+    data: Path = Path("../shared/data")
+    """Folder of scenes."""
+    calibrations: int = 50
+    """Drawn for each scene."""
+    seed: int = 1
+    only: str = ""
+    """Scenes whose name contains this."""
+
+
 def main() -> None:
     """Run the benchmark from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of scenes")
-    parser.add_argument("--calibrations", type=int, default=50, help="drawn for each scene")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="run only scenes whose name contains this")
-    arguments = parser.parse_args()
+    options = tyro.cli(Options, description=__doc__)
     cv2.setNumThreads(1)
-    rng = np.random.default_rng(arguments.seed)
+    rng = np.random.default_rng(options.seed)
     shares: list[tuple[float, float, float]] = []
-    print(f"{'scene':40} ok of {arguments.calibrations}   frame   robot   pixels alone")
-    for name, group, load in scenes(arguments.data):
-        if group not in (CLEAR, CROSSING) or arguments.only not in name:
+    print(f"{'scene':40} ok of {options.calibrations}   frame   robot   pixels alone")
+    for name, group, load in scenes(options.data):
+        if group not in (CLEAR, CROSSING) or options.only not in name:
             continue
         scene = load()
-        drawn = drawn_errors(rng, arguments.calibrations)
-        assert scene.truth is not None
-        seen = reconstruct_pair(scene.images, scene.calibration, masks=scene.masks, segmenter=None, method=METHOD)
-        judged = (covered(seen.observations, scene.truth, errors) for errors in drawn)
+        seen = reconstructed(scene, scene.masks, method=METHOD).observations
+        judged = (covered(seen, scene.threads[0].points, errors) for errors in drawn_errors(rng, options.calibrations))
         found = [share for share in judged if share is not None]
         shares += found
-        mean = np.mean(found, axis=0) if found else np.full(3, np.nan)
-        print(f"{name:40} {len(found):5}   " + "   ".join(f"{100 * share:5.1f}" for share in mean), flush=True)
-    print(
-        f"{'all, within the 95 % ellipse':40} {len(shares):5}   "
-        + "   ".join(f"{100 * s:5.1f}" for s in np.mean(shares, 0))
-    )
+        _tell(name, found)
+    _tell("all, within the 95 % ellipse", shares)
+
+
+def _tell(name: str, shares: list[tuple[float, float, float]]) -> None:
+    mean = np.mean(shares, axis=0) if shares else np.full(3, np.nan)
+    print(f"{name:40} {len(shares):5}   " + "   ".join(f"{100 * share:5.1f}" for share in mean), flush=True)
 
 
 def drawn_errors(rng: np.random.Generator, count: int) -> Float64[np.ndarray, "n 8"]:

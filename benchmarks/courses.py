@@ -21,24 +21,22 @@ import numpy as np
 import tyro
 from jaxtyping import Float64, Int64
 from rich.progress import track
-from rich.table import Table
 from scipy.optimize import minimize
 
 from agents.camera.scene_source import calibration_of
-from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.reconstruction.refined import course, paths
 from agents.reconstruction.refined.method import METHOD
 from agents.reconstruction.refined.paths import pieces_of
 from agents.reconstruction.refined.sightings import map_of, with_covered_ends
+from benchmarks.hiding_tool import hiding_shaft
 from benchmarks.measures import evenly, places_along
-from benchmarks.scenes import HIDDEN, RENDERS, hiding_shaft, scenes
-from benchmarks.tables import CONSOLE
+from benchmarks.scenes import HIDDEN, RENDERS, TRUTH_SAMPLES, Scene, TrueThread, reconstructed, scenes
+from benchmarks.tables import CONSOLE, print_rows
 from schemas.messages import Centrelines, ThreadObservations
 from shared.arc_length import even_parameters
 from shared.camera import project
 from shared.disparities import disparities_of
-from shared.rendering.__main__ import make_scene
-from shared.rendering.render import BACKGROUNDS, SceneError, render
+from shared.rendering.render import BACKGROUNDS, SceneError, make_scene, render
 from shared.rendering.thread_shapes import ShapeError
 from shared.splines import evaluate
 
@@ -78,7 +76,6 @@ SIGNED = "join", "goes_on", "hidden_end", "tip"
 """All others are positive: of those the logarithm is fitted."""
 PRIOR, MOST_LOSS = 0.002, 8.0
 """Weight of the squares of how far weights leave START; and what one scene may cost, whose label may be wrong."""
-COPIES = 1
 CUT_PX, CUTS, CLUTTER, NEEDLES = (2.0, 12.0), 0.4, 0.15, 0.05
 NEEDLE_PX, NEEDLE_GAP_PX = (60.0, 160.0), (3.0, 15.0)
 SURE = 0.95
@@ -117,15 +114,15 @@ class Labelled:
 
 def main() -> None:
     """Judge or fit, and print."""
-    options = tyro.cli(Options)
+    options = tyro.cli(Options, description=__doc__)
     cases = [*(rendered(options.scenes) if options.scenes else ()), *drawn(options.seeds)]
     if options.fit:
         random = np.random.default_rng(0)
-        every = [*cases, *(replace(c, observations=disturbed(c.observations, random)) for c in cases * COPIES)]
+        every = [*cases, *(replace(c, observations=disturbed(c.observations, random)) for c in cases)]
         weights = fitted([each for case in every if (each := labelled(case)) is not None])
         course.WEIGHTS.write_text(json.dumps(weights, indent=2) + "\n")
         course.fitted_weights.cache_clear()
-    CONSOLE.print(table([each for case in cases if (each := labelled(case)) is not None]))
+    print_rows("courses of more than one piece", table([e for case in cases if (e := labelled(case)) is not None]))
 
 
 def drawn(bounds: tuple[int, ...]) -> Iterator[Case]:
@@ -135,30 +132,30 @@ def drawn(bounds: tuple[int, ...]) -> Iterator[Case]:
     for seed in track(seeds, "drawn", transient=True):
         for config, is_hidden, is_true in KINDS:
             try:
-                scene = make_scene(config, BACKGROUNDS[seed % len(BACKGROUNDS)], seed)
-                pair = render(scene)
-                s = even_parameters(scene.thread.knots, scene.thread.control_points, scene.thread.degree, 2000)
-                truth = evaluate(scene.thread.knots, scene.thread.control_points, scene.thread.degree, s)
-                images = [pair.left_bgr, pair.right_bgr]
-                masks = [pair.coverage_left, pair.coverage_right]
-                if is_hidden:
-                    shaft = hiding_shaft(scene.camera, truth, np.ones((len(truth), 2), bool), seed)
-                    painted = [
-                        shaft.paint(image, mask, eye)
-                        for eye, (image, mask) in enumerate(zip(images, masks, strict=True))
-                    ]
-                    images, masks = [each[0] for each in painted], [each[1] for each in painted]
+                scene = drawn_scene(config, is_hidden, seed)
             except (SceneError, ShapeError, ValueError):
                 continue
-            result = reconstruct_pair(
-                (images[0], images[1]),
-                calibration_of(scene.camera),
-                masks=(masks[0], masks[1]) if is_true else None,
-                segmenter=None,
-                method=METHOD,
-            )
+            result = reconstructed(scene, scene.masks if is_true else None, method=METHOD)
             name = f"{config}{' behind a shaft' if is_hidden else ''}, {'true masks' if is_true else 'raw'}"
-            yield Case(f"{name}: {seed}", result.observations, truth)
+            yield Case(f"{name}: {seed}", result.observations, scene.threads[0].points)
+
+
+def drawn_scene(config: str, is_hidden: bool, seed: int) -> Scene:
+    """A thread of the light renderer over the background that is the seed's turn, behind a shaft or in view.
+
+    Raises:
+        SceneError, ShapeError, ValueError: where it cannot be drawn, or hidden.
+    """
+    scene = make_scene(config, BACKGROUNDS[seed % len(BACKGROUNDS)], seed)
+    pair, thread = render(scene), scene.thread
+    spline = thread.knots, thread.control_points, thread.degree
+    truth = evaluate(*spline, even_parameters(*spline, TRUTH_SAMPLES))
+    visible = np.ones((len(truth), 2), bool)
+    images, masks = (pair.left_bgr, pair.right_bgr), (pair.coverage_left, pair.coverage_right)
+    if is_hidden:
+        images, masks = hiding_shaft(scene.camera, truth, visible, seed).painted(images, masks)
+    true = TrueThread(truth, visible)
+    return Scene("drawn", f"{config} {seed}", images, calibration_of(scene.camera), masks, "true", (true,))
 
 
 def rendered(data: Path) -> Iterator[Case]:
@@ -168,10 +165,9 @@ def rendered(data: Path) -> Iterator[Case]:
             continue
         scene = load()
         for masks in (scene.masks,) if group == HIDDEN else (None, scene.masks):
-            result = reconstruct_pair(scene.images, scene.calibration, masks=masks, segmenter=None, method=METHOD)
-            assert scene.truth is not None
+            result = reconstructed(scene, masks, method=METHOD)
             what = "raw" if masks is None else "true masks"
-            yield Case(f"{group}, {what}: {name}", result.observations, scene.truth)
+            yield Case(f"{group}, {what}: {name}", result.observations, scene.threads[0].points)
 
 
 def labelled(case: Case) -> Labelled | None:
@@ -336,29 +332,31 @@ def weights_of(numbers: Float64[np.ndarray, "w"]) -> dict[str, float]:
     return {n: float(x if n in SIGNED else np.exp(x)) for n, x in zip(START, numbers, strict=True)}
 
 
-def table(examples: list[Labelled]) -> Table:
+def table(examples: list[Labelled]) -> list[dict[str, object]]:
     """How many courses are right, by kind of scene and by their probability."""
-    rows: dict[str, list[tuple[float, bool]]] = {}
+    of_kind: dict[str, list[tuple[float, bool]]] = {}
     for each in examples:
         probability, is_right = judged(each)
-        kind = each.name.split(":")[0]
         low = max(b for b in BINS if b <= probability)
-        for key in (kind, f"probability from {low:g}"):
-            rows.setdefault(key, []).append((probability, is_right))
+        for key in (each.name.split(":")[0], f"probability from {low:g}"):
+            of_kind.setdefault(key, []).append((probability, is_right))
         if not is_right and probability >= SURE:
             CONSOLE.print(f"  wrong though sure ({probability:.3f}): {each.name}")
-    shown = Table(title="courses of more than one piece", title_justify="left")
-    for column in ("", "n", "right", "undecided", "wrong though sure", "mean probability", "share right"):
-        shown.add_column(column, justify="right" if column else "left")
-    for key, some in sorted(rows.items()):
+    rows: list[dict[str, object]] = []
+    for key, some in sorted(of_kind.items()):
         sure = [right for probability, right in some if probability >= SURE]
-        shown.add_row(
-            key,
-            *(str(n) for n in (len(some), sum(sure), len(some) - len(sure), len(sure) - sum(sure))),
-            f"{np.mean([probability for probability, _ in some]):.3f}",
-            f"{np.mean([right for _, right in some]):.3f}",
+        rows.append(
+            {
+                "courses": key,
+                "n": len(some),
+                "right": sum(sure),
+                "undecided": len(some) - len(sure),
+                "wrong though sure": len(sure) - sum(sure),
+                "mean probability": f"{np.mean([probability for probability, _ in some]):.3f}",
+                "share right": f"{np.mean([right for _, right in some]):.3f}",
+            }
         )
-    return shown
+    return rows
 
 
 def judged(each: Labelled) -> tuple[float, bool]:

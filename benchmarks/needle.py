@@ -11,18 +11,14 @@ see it, of the point all but its last twentieth, which comes to nothing. Of need
 Where the thread is reconstructed too, the planner is asked for the place 15 mm of thread from the swage.
 """
 
-import argparse
-import json
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
-import cv2
 import numpy as np
+import tyro
 from jaxtyping import Float64
-from rich.console import Console
-from rich.table import Table
 
 from agents.needle.agent import Needle
 from agents.perception.agent import Perception, PerceptionConfig
@@ -31,17 +27,17 @@ from agents.planner.curve import NoGraspError, curve_of
 from agents.planner.goal import goal_on_thread
 from agents.planner.needle import needle_around
 from agents.reconstruction.agent import Reconstruction
+from benchmarks.scenes import Scene, rendered
+from benchmarks.tables import CONSOLE, Row, print_rows
 from schemas.messages import (
     CommandHeader,
     FrameStamp,
     GraspGoal,
-    Image,
     ImageEncoding,
     NeedleObservations,
     NeedlePose,
     Policy,
     Status,
-    StereoCalibration,
     StereoFrame,
     ThreadObservations,
 )
@@ -51,14 +47,20 @@ from shared.clock import processor_s
 from shared.images import encode_image
 from shared.runtime.agent import Received, outputs_in
 
-CONSOLE = Console(width=140)
 BOUNDS_MM, PLANE_DEG = (0.5, 2.0), 5.0
 """Of the tip's and the swage's error, median and worst, and of the plane's median: the goals."""
 FROM_SWAGE_MM = 15.0
 
 
 @dataclass(frozen=True)
-class Row:
+class Options:
+    """Which scenes."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+
+
+@dataclass(frozen=True)
+class Found:
     """What one pair came to; errors are None where the needle was refused.
 
     Fields:
@@ -79,51 +81,57 @@ class Row:
     goal_mm: float | None = None
 
 
-def rows(folder: Path) -> Iterator[Row]:
-    """One for each pair with a needle in a folder."""
-    for truth in sorted(folder.glob("*_needle.npy")):
-        yield _row(truth.with_name(truth.name.removesuffix("_needle.npy")))
+def main() -> None:
+    """Print what came of each pair, and of all."""
+    options = tyro.cli(Options, description=__doc__)
+    found = [judged(path) for path in sorted(options.folder.glob("*_needle.npy"))]
+    for one in found:
+        errors = (one.swage_mm, one.point_mm, one.plane_deg)
+        said = one.reason or "swage {:.2f} mm, point {:.2f} mm, plane {:.1f} deg".format(*errors)
+        CONSOLE.print(f"{one.name:28} {'both ends' if one.both_in_view else '':10} {said}")
+    goals = f"goals: swage and point {BOUNDS_MM[0]} mm median, {BOUNDS_MM[1]} worst; plane {PLANE_DEG} deg"
+    both = [one for one in found if one.both_in_view]
+    print_rows(f"needles; {goals}", [summed("both ends in view", both), summed("all", found)])
+    for reason, count in Counter(one.reason for one in found if one.reason).most_common():
+        CONSOLE.print(f"{count:3} refused: {reason}")
 
 
-def observed(path: Path) -> tuple[NeedleObservations | None, ThreadObservations | None]:
-    """What perception sees of needle and thread in a pair that was written as `path`_left.png and so on."""
-    about = json.loads(path.with_name(f"{path.name}.json").read_text(encoding="utf-8"))
-    K, T = np.array(about["K"]), np.eye(4)
-    T[0, 3] = -about["baseline_mm"]
-    none = np.zeros(0)
-    camera = StereoCalibration(about["width"], about["height"], K, K, none, none, T, 1e-3)
-    stamp = FrameStamp(1, 1, 1, calibration_id(camera))
+def observed(scene: Scene) -> tuple[NeedleObservations | None, ThreadObservations | None]:
+    """What perception sees of needle and thread in a pair, as the first one of a session."""
+    # as on a rig, whose calibration states no covariance
+    camera = replace(scene.calibration, covariance=None)
     perception = Perception(PerceptionConfig(needle=True))
     outputs_in(perception.step(Received(CALIBRATION, "", 0, camera)))
-    frame = StereoFrame(stamp, _image(path, "left"), _image(path, "right"))
-    said = outputs_in(perception.step(Received(FRAMES, "", 0, frame)))
-    by_topic = {output.topic: output.message for output in said}
+    left, right = (encode_image(image, ImageEncoding.RAW) for image in scene.images)
+    frame = StereoFrame(FrameStamp(1, 1, 1, calibration_id(camera)), left, right)
+    by_topic = {out.topic: out.message for out in outputs_in(perception.step(Received(FRAMES, "", 0, frame)))}
     return by_topic.get(NEEDLE_SEEN), by_topic.get(OBSERVATIONS)
 
 
-def _image(path: Path, side: str) -> Image:
-    return encode_image(np.asarray(cv2.imread(f"{path}_{side}.png")), ImageEncoding.RAW)
-
-
-def _row(path: Path) -> Row:
-    truth = np.load(path.with_name(f"{path.name}_needle.npy")).astype(np.float64)
-    count = len(truth)
+def judged(path: Path) -> Found:
+    """What a pair comes to, by the table of its true needle."""
+    truth = np.load(path).astype(np.float64)
+    count, scene = len(truth), rendered(path.with_name(f"{path.stem.removesuffix('_needle')}.json"))
     swage, point = truth[2:8, 4:] > 0, truth[int(0.9 * count) : int(0.95 * count), 4:] > 0
     both = bool(swage.all() and point.all())
-    seen, thread = observed(path)
+    seen, thread = observed(scene)
     if seen is None:
-        return Row(path.name, "perception looks for none", both)
+        return Found(scene.name, "perception looks for none", both)
     began_s = processor_s()
     (output,) = outputs_in(Needle().step(Received(NEEDLE_SEEN, "", 0, seen)))
     pose, step_ms = output.message, 1e3 * (processor_s() - began_s)
     if pose.status is not Status.OK:
-        return Row(path.name, pose.reason.partition(":")[0], both, step_ms=step_ms)
-    row = _measured(path.name, both, truth[:, :3], pose, step_ms)
-    return replace(row, goal_mm=None if thread is None else _goal_mm(path, truth[0, :3], pose, thread))
+        return Found(scene.name, pose.reason.partition(":")[0], both, step_ms=step_ms)
+    found = _measured(scene.name, both, truth[:, :3], pose, step_ms)
+    goal_mm = None if thread is None else _goal_mm(scene.threads[0].points, truth[0, :3], pose, thread)
+    return replace(found, goal_mm=goal_mm)
 
 
 def _goal_mm(
-    path: Path, swage: Float64[np.ndarray, "3"], pose: NeedlePose, observations: ThreadObservations
+    true: Float64[np.ndarray, "n 3"],
+    swage: Float64[np.ndarray, "3"],
+    pose: NeedlePose,
+    observations: ThreadObservations,
 ) -> float | None:
     """How far a goal FROM_SWAGE_MM along the thread is planned from where it truly is."""
     said = outputs_in(Reconstruction("refined").step(Received(OBSERVATIONS, "", 0, observations)))
@@ -136,7 +144,6 @@ def _goal_mm(
         s = goal_on_thread(goal, curve, PlannerConfig(), needle_around(pose, thread, 1))
     except NoGraspError:
         return None
-    true = np.load(path.with_name(f"{path.name}.npy")).astype(np.float64)[:, :3]
     if np.linalg.norm(true[0] - swage) > np.linalg.norm(true[-1] - swage):
         true = true[::-1]
     along_mm = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))]
@@ -144,7 +151,7 @@ def _goal_mm(
     return float(np.linalg.norm(1e3 * curve.points(np.array([s]))[0] - there))
 
 
-def _measured(name: str, both: bool, truth: Float64[np.ndarray, "n 3"], pose: NeedlePose, step_ms: float) -> Row:
+def _measured(name: str, both: bool, truth: Float64[np.ndarray, "n 3"], pose: NeedlePose, step_ms: float) -> Found:
     normal = np.linalg.svd(truth - truth.mean(axis=0))[2][2]
     z = np.zeros(3) if pose.T_camera_needle is None else pose.T_camera_needle[:3, 2]
     off, deviations = list[float](), list[float]()
@@ -153,58 +160,30 @@ def _measured(name: str, both: bool, truth: Float64[np.ndarray, "n 3"], pose: Ne
         off.append(float(np.linalg.norm(error)))
         deviations.append(float(np.sqrt(error @ np.linalg.solve(pose.covariance_at(angle), error))))
     plane_deg = float(np.degrees(np.arccos(min(1.0, abs(float(normal @ z))))))
-    return Row(name, "", both, off[0], off[1], plane_deg, (deviations[0], deviations[1]), step_ms)
+    return Found(name, "", both, off[0], off[1], plane_deg, (deviations[0], deviations[1]), step_ms)
 
 
-def report(found: list[Row]) -> Table:
-    """A row for what all pairs came to, and for those with both ends in view."""
-    table = Table(
-        title=f"needle: swage and point {BOUNDS_MM[0]} mm median, {BOUNDS_MM[1]} worst; plane {PLANE_DEG} deg"
-    )
-    for column in (
-        "pairs",
-        "",
-        "told",
-        "swage mm",
-        "point mm",
-        "plane deg",
-        f"{FROM_SWAGE_MM:g} mm on, mm",
-        "within 95 %",
-        "ms",
-    ):
-        table.add_column(column)
-    for name, chosen in (("both ends in view", [row for row in found if row.both_in_view]), ("all", found)):
-        told = [row for row in chosen if not row.reason]
-        cells = [
-            "-" if not told else f"{np.median(values):.2f} / {max(values):.2f}"
-            for values in (
-                [row.swage_mm or 0.0 for row in told],
-                [row.point_mm or 0.0 for row in told],
-                [row.plane_deg or 0.0 for row in told],
-            )
-        ]
-        goals = [row.goal_mm for row in told if row.goal_mm is not None]
-        cells.append(f"{np.median(goals):.2f} / {max(goals):.2f} ({len(goals)})" if goals else "-")
-        # of a normal distribution in space 95 % lie within so many deviations
-        inside = [one < 2.80 for row in told for one in row.deviations_off]
-        within = f"{np.mean(inside):.0%}" if inside else "-"
-        ms = f"{np.median([row.step_ms for row in chosen]):.0f}" if chosen else "-"
-        table.add_row(str(len(chosen)), name, str(len(told)), *cells, within, ms)
-    return table
+def summed(name: str, some: list[Found]) -> Row:
+    """What some pairs came to; errors are median / worst."""
+    told = [one for one in some if not one.reason]
+    goals = [one.goal_mm for one in told if one.goal_mm is not None]
+    # of a normal distribution in space 95 % lie within so many deviations
+    inside = [off < 2.80 for one in told for off in one.deviations_off]
+    return {
+        "": name,
+        "pairs": len(some),
+        "told": len(told),
+        "swage mm": _spread([one.swage_mm or 0.0 for one in told]),
+        "point mm": _spread([one.point_mm or 0.0 for one in told]),
+        "plane deg": _spread([one.plane_deg or 0.0 for one in told]),
+        f"{FROM_SWAGE_MM:g} mm on, mm": f"{_spread(goals)} ({len(goals)})",
+        "within 95 %": f"{np.mean(inside):.0%}" if inside else "-",
+        "ms": f"{np.median([one.step_ms for one in some]):.0f}" if some else "-",
+    }
 
 
-def main() -> None:
-    """Print what came of each pair, and of all."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("folder", type=Path)
-    found = list(rows(parser.parse_args().folder))
-    for row in found:
-        errors = (row.swage_mm, row.point_mm, row.plane_deg)
-        said = row.reason or "swage {:.2f} mm, point {:.2f} mm, plane {:.1f} deg".format(*errors)
-        CONSOLE.print(f"{row.name:28} {'both ends' if row.both_in_view else '':10} {said}")
-    CONSOLE.print(report(found))
-    for reason, count in Counter(row.reason for row in found if row.reason).most_common():
-        CONSOLE.print(f"{count:3} refused: {reason}")
+def _spread(values: list[float]) -> str:
+    return f"{np.median(values):.2f} / {max(values):.2f}" if values else "-"
 
 
 if __name__ == "__main__":

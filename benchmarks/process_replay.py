@@ -3,18 +3,15 @@
 python -m benchmarks.process_replay sessions/*/session.mcap
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from agents.cli.recordings.options import Recompute
 from agents.cli.recordings.recompute import UnusableError, replayed
-from benchmarks.measures import Goal
+from benchmarks.tables import CONSOLE, Goal, Row, print_goals, print_rows, write_json
 
 CHAINS = ("perception", "reconstruction", "planner", "perception,reconstruction,planner")
 MOST_TIMES = 1.1
@@ -31,22 +28,24 @@ class Options:
 
 def main() -> None:
     """Replay each recording through each chain, print a table, and write JSON where asked to."""
-    options = tyro.cli(Options)
-    rows: list[dict[str, Any]] = []
+    options = tyro.cli(Options, description=__doc__)
+    rows: list[Row] = []
     for path in options.recordings or sorted(GOLDENS.glob("*.mcap")):
         for chain in CHAINS:
             try:
                 rows.append(_row(path, chain))
             except UnusableError as error:
-                print(f"{path} through {chain}: {error}")
-    print_table(rows)
-    for goal in replay_goals(rows):
-        print(f"{goal.what}: {goal.figure}, goal {goal.goal}: {'met' if goal.met else 'missed'}")
-    if options.json is not None:
-        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+                CONSOLE.print(f"{path} through {chain}: {error}")
+    print_rows("replays", rows)
+    whole = [row for row in rows if row["chain"] == CHAINS[-1]]
+    if whole:
+        times = sum(row["wall s"] for row in whole) / sum(row["steps s"] for row in whole)
+        what = "time: a replay through perception, reconstruction and planner, as a multiple of its steps"
+        print_goals("all recordings", [Goal(what, f"{times:.2f}", f"≤ {MOST_TIMES:g}", times <= MOST_TIMES)])
+    write_json(options.json, rows)
 
 
-def _row(path: Path, chain: str) -> dict[str, Any]:
+def _row(path: Path, chain: str) -> Row:
     result = replayed(Recompute(path, through=chain, tolerances="table"))
     times = [entry.received_ns for entry in result.before]
     return {
@@ -61,22 +60,6 @@ def _row(path: Path, chain: str) -> dict[str, Any]:
         "wall s": result.wall_s,
         "times": result.wall_s / result.step_s if result.step_s else float("inf"),
     }
-
-
-def replay_goals(rows: list[dict[str, Any]]) -> list[Goal]:
-    """The row of the table of goals: all messages through all agents, over all recordings."""
-    whole = [row for row in rows if row["chain"] == CHAINS[-1]]
-    times = sum(row["wall s"] for row in whole) / sum(row["steps s"] for row in whole)
-    what = "time: a replay through perception, reconstruction and planner, as a multiple of its steps"
-    return [Goal(what, "-", f"≤ {MOST_TIMES:g}", f"{times:.2f}", times <= MOST_TIMES)]
-
-
-def print_table(rows: list[dict[str, Any]]) -> None:
-    """A row for each recording and chain."""
-    table = Table(*rows[0])
-    for row in rows:
-        table.add_row(*(f"{value:.2f}" if isinstance(value, float) else str(value) for value in row.values()))
-    Console(width=160).print(table)
 
 
 if __name__ == "__main__":

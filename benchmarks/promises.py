@@ -16,20 +16,14 @@ err. Prints all three and the reliability of the promises. With `--calibrations 
 that are wrong by as much as those without a stated covariance may be, and so is the robot (benchmarks.calibrations).
 """
 
-import argparse
-import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
-from jaxtyping import Float64
-from rich.console import Console
-from rich.table import Table
+import tyro
+from jaxtyping import Bool, Float64
 
-from agents.camera.scene_source import calibration_of
-from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.planner.agent import reaches_of
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
@@ -42,13 +36,14 @@ from agents.simulated_trials.results import EDGES
 from agents.simulator.fingers import between
 from agents.simulator.judgement import GIVE_M
 from benchmarks.calibrations import drawn_errors, hand_eye, wrongly
+from benchmarks.scenes import Scene, reconstructed, rendered
+from benchmarks.tables import CONSOLE, Row, print_rows, write_json
 from schemas.messages import (
     CommandHeader,
     GraspGoal,
     GraspPlan,
     Phase,
     Policy,
-    RectifiedStereo,
     Status,
     ThreadObservations,
     ThreadReconstruction,
@@ -61,10 +56,26 @@ from shared.rigid_transforms import apply, compose, inverse
 
 REGISTRATIONS, TOOLS = 8, 25
 BOUND_DRAWS, BIN = 4000, 200
-NEAR_M = 0.025
-"""Of the capture: thread farther away is out of reach of all errors."""
-CONSOLE = Console(width=140)
 MM = 1e-3
+
+
+@dataclass(frozen=True)
+class Options:
+    """Which scenes, and which errors."""
+
+    scenes: Path | None = None
+    """Folder of path-traced pairs with truth."""
+    only: str = ""
+    """Scenes whose name contains this."""
+    goals: int = 5
+    tool_error: tuple[float, ...] = (0.0, 1.0, 2.0, 3.0, 4.0)
+    """Deviations of each axis of the tool tip, in mm."""
+    hand_eye: float = 1.5
+    """The most by which the registration is off, in mm."""
+    calibrations: int = 0
+    """Drawn for each scene; 0: the true one."""
+    seed: int = 1
+    json: Path = Path("out/promises.json")
 
 
 @dataclass(frozen=True)
@@ -81,78 +92,64 @@ class Promise:
 
 def main() -> None:
     """Run the benchmark from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=Path, help="folder of path-traced pairs with truth")
-    parser.add_argument("--only", default="", help="scenes whose name contains this")
-    parser.add_argument("--goals", type=int, default=5)
-    parser.add_argument("--tool-error", type=float, nargs="+", default=[0.0, 1.0, 2.0, 3.0, 4.0], help="in mm")
-    parser.add_argument("--hand-eye", type=float, default=1.5, help="the most, in mm")
-    parser.add_argument("--calibrations", type=int, default=0, help="drawn for each scene; 0: the true one")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path, default=Path("out/promises.json"), help="where the figures go")
-    arguments = parser.parse_args()
-    print_bound(arguments.tool_error, arguments.hand_eye, arguments.seed)
-    if arguments.scenes is None:
+    options = tyro.cli(Options, description=__doc__)
+    print_rows(*bound(options))
+    if options.scenes is None:
         return
-    names = sorted(path for path in arguments.scenes.glob("*.json") if arguments.only in path.stem)
-    if not names:
-        parser.error(f"no scene under {arguments.scenes} has a name that contains {arguments.only!r}")
-    found = [
-        one
-        for path in names
-        for one in of_scene(
-            path, arguments.goals, arguments.tool_error, arguments.hand_eye, arguments.seed, arguments.calibrations
-        )
-    ]
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    arguments.json.write_text(json.dumps([asdict(one) for one in found]) + "\n")
+    paths = sorted(path for path in options.scenes.glob("*.json") if options.only in path.stem)
+    if not paths:
+        raise SystemExit(f"no scene under {options.scenes} has a name that contains {options.only!r}")
+    found = [one for path in paths for one in of_scene(rendered(path), options)]
+    write_json(options.json, [asdict(one) for one in found])
     if not found:
-        parser.error("there is no plan for any goal")
+        raise SystemExit("there is no plan for any goal")
     print_found(found)
 
 
-def print_bound(sizes_mm: list[float], hand_eye_mm: float, seed: int) -> None:
+def bound(options: Options) -> tuple[str, list[Row]]:
     """Of thread whose place is known, for each opening: rates by size, and the skill of the best promises."""
-    rng = np.random.default_rng(seed)
-    way = rng.normal(size=(BOUND_DRAWS, 3))
-    way *= rng.uniform(0.0, MM * hand_eye_mm, (BOUND_DRAWS, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    shift_m = shifts_m(np.random.default_rng(options.seed), BOUND_DRAWS, options.hand_eye)
     config = PlannerConfig()
     depth_m = max(config.depths_m)
-    table = Table(title=f"Thread known exactly, {depth_m / MM:g} mm deep: held, best skill", title_justify="left")
-    for column in ("open", *(f"{size:g} mm" for size in sizes_mm), "knowing the size", "and the registration"):
-        table.add_column(column, justify="right")
-    mean = np.array([0.0, FINGER_M - depth_m]) + way[:, :2]
+    mean = np.array([0.0, FINGER_M - depth_m]) + shift_m[:, :2]
+    spreads = [np.broadcast_to((MM * size) ** 2 * np.eye(2), (BOUND_DRAWS, 2, 2)) for size in options.tool_error]
+    rows: list[Row] = []
     for open_deg in config.opens_deg:
-        spreads = [np.broadcast_to((MM * size) ** 2 * np.eye(2), (BOUND_DRAWS, 2, 2)) for size in sizes_mm]
         rates = np.array([wedge_probability(mean, spread, np.radians(open_deg)) for spread in spreads])
         by_size, base = rates.mean(axis=1), float(rates.mean())
-        skills = [skill(float(np.mean(known * (1.0 - known))), base) for known in (by_size, rates)]
-        table.add_row(f"{open_deg:g}°", *(f"{rate:.1%}" for rate in by_size), *(f"{one:.3f}" for one in skills))
-    CONSOLE.print(table)
+        sizes = {f"{size:g} mm": f"{rate:.1%}" for size, rate in zip(options.tool_error, by_size, strict=True)}
+        names = "knowing the size", "and the registration"
+        skills = (skill(float(np.mean(known * (1.0 - known))), base) for known in (by_size, rates))
+        rows.append({"open": f"{open_deg:g}°"} | sizes | dict(zip(names, skills, strict=True)))
+    return f"Thread known exactly, {depth_m / MM:g} mm deep: held, best skill", rows
 
 
-def of_scene(
-    path: Path, goals: int, sizes_mm: list[float], hand_eye_mm: float, seed: int, calibrations: int = 0
-) -> Iterator[Promise]:
+def shifts_m(rng: np.random.Generator, count: int, most_mm: float) -> Float64[np.ndarray, "n 3"]:
+    """Errors of a registration: in any direction, of any length up to the most."""
+    way = rng.normal(size=(count, 3))
+    return MM * rng.uniform(0.0, most_mm, (count, 1)) * way / np.linalg.norm(way, axis=1, keepdims=True)
+
+
+def of_scene(scene: Scene, options: Options) -> Iterator[Promise]:
     """All plans of one scene."""
-    seen, truth_m = seen_scene(path)
-    rng = np.random.default_rng([seed, *path.stem.encode()])
-    known = seen.reconstruction, truth_m
+    seen, truth_mm = reconstructed(scene), scene.threads[0].points
+    rng = np.random.default_rng([options.seed, *scene.name.encode()])
     drawn = [
-        with_other_calibration(seen.observations, truth_m, errors) for errors in drawn_errors(rng, calibrations)
-    ] or [known]
-    for thread, true in drawn:
-        yield from plans_of(path.stem, thread, true, rng, goals, sizes_mm, hand_eye_mm)
+        with_other_calibration(seen.observations, truth_mm, errors)
+        for errors in drawn_errors(rng, options.calibrations)
+    ] or [(seen.reconstruction, truth_mm)]
+    for thread, true_mm in drawn:
+        yield from plans_of(scene.name, thread, MM * true_mm, rng, options)
 
 
 def with_other_calibration(
-    observations: ThreadObservations, truth_m: Float64[np.ndarray, "n 3"], errors: Float64[np.ndarray, "8"]
+    observations: ThreadObservations, truth: Float64[np.ndarray, "n 3"], errors: Float64[np.ndarray, "8"]
 ) -> tuple[ThreadReconstruction, Float64[np.ndarray, "n 3"]]:
     """The thread as a wrong calibration has it, and the true points where a robot has them that was found with it."""
     stated = replace(wrongly(observations, errors), calibration_covariance=usual_covariance())
     thread = METHODS[DEFAULT_METHOD](stated)
-    R, t = hand_eye(observations.camera, errors, float(np.median(truth_m[:, 2])))
-    return thread, (truth_m - t) @ R
+    R, t = hand_eye(observations.camera, errors, float(np.median(truth[:, 2])))
+    return thread, (truth - t) @ R
 
 
 def plans_of(
@@ -160,39 +157,23 @@ def plans_of(
     thread: ThreadReconstruction,
     truth_m: Float64[np.ndarray, "n 3"],
     rng: np.random.Generator,
-    goals: int,
-    sizes_mm: list[float],
-    hand_eye_mm: float,
+    options: Options,
 ) -> Iterator[Promise]:
     """A plan for each goal and size of error, and how often it holds."""
     if thread.status is not Status.OK:
         return
-    for number, s in enumerate(seen_places(thread, goals)):
-        way = rng.normal(size=(REGISTRATIONS, 3))
-        length = rng.uniform(0.0, MM * hand_eye_mm, (REGISTRATIONS, 1))
-        shift_m = length * way / np.linalg.norm(way, axis=1, keepdims=True)
+    for number, s in enumerate(seen_places(thread, options.goals)):
+        shift_m = shifts_m(rng, REGISTRATIONS, options.hand_eye)
         unit = rng.normal(size=(REGISTRATIONS, TOOLS, 3))
-        for size_mm in sizes_mm:
-            config = PlannerConfig(least_probability=0.0, tool_error_m=MM * size_mm, hand_eye_error_m=MM * hand_eye_mm)
+        for size_mm in options.tool_error:
+            tool_m, registration_m = MM * size_mm, MM * options.hand_eye
+            config = PlannerConfig(least_probability=0.0, tool_error_m=tool_m, hand_eye_error_m=registration_m)
             goal = GraspGoal(CommandHeader("g", 0, "benchmark"), "psm1", Policy.CAPTURE_SLIDE_GRASP, s, None, None)
             plan = plan_grasp(goal, thread, simulated_arm(), config)
             if plan.status is Status.OK:
                 off_m = shift_m[:, None] + MM * size_mm * unit
                 share = [float(np.mean([holds(plan, truth_m, off) for off in some])) for some in off_m]
                 yield Promise(scene, number, size_mm, plan.probability, plan.slide_m, tuple(share))
-
-
-def seen_scene(path: Path) -> tuple[PipelineResult, Float64[np.ndarray, "n 3"]]:
-    """What perception and reconstruction make of a pair, and the true points, in metres."""
-    about = json.loads(path.read_text())
-    K = np.array(about["K"])
-    size = about["width"], about["height"]
-    camera = RectifiedStereo(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], MM * about["baseline_mm"], 1.0)
-    left, right = (cv2.imread(str(path.with_name(f"{path.stem}_{side}.png"))) for side in ("left", "right"))
-    assert left is not None and right is not None
-    pair = np.asarray(left, np.uint8), np.asarray(right, np.uint8)
-    seen = reconstruct_pair(pair, calibration_of(camera), masks=None, segmenter=None, method=DEFAULT_METHOD)
-    return seen, MM * np.load(path.with_suffix(".npy"))[:, :3]
 
 
 def holds(plan: GraspPlan, truth_m: Float64[np.ndarray, "n 3"], off_m: Float64[np.ndarray, "3"]) -> bool:
@@ -229,30 +210,16 @@ def print_found(found: list[Promise]) -> None:
         "the best that knows the size of the tool's error alone": float(np.mean(by_size * (1.0 - by_size))),
         "the best that knows all but how the tool errs": knowing,
     }
-    table = Table(
-        title=f"{len(found)} plans, {held.shape[1] * TOOLS} draws of each; {base:.1%} hold", title_justify="left"
+    print_rows(
+        f"{len(found)} plans, {held.shape[1] * TOOLS} draws of each; {base:.1%} hold",
+        [{"promise": name, "Brier score": brier, "skill": skill(brier, base)} for name, brier in scores.items()],
     )
-    for column in ("promise", "Brier score", "skill"):
-        table.add_column(column)
-    for name, brier in scores.items():
-        table.add_row(name, f"{brier:.4f}", f"{skill(brier, base):.3f}")
-    CONSOLE.print(table)
-    sizes = Table(title="By the tool's error", title_justify="left")
-    for column in ("mm", "plans", "mean promise", "held"):
-        sizes.add_column(column)
-    for one, here in rate.items():
-        sizes.add_row(f"{one:g}", str((size == one).sum()), f"{promised[size == one].mean():.1%}", f"{here:.1%}")
-    CONSOLE.print(sizes)
-    bins = Table(title="Promised and held", title_justify="left")
-    for column in ("promised", "plans", "mean promise", "held", "off"):
-        bins.add_column(column)
+    print_rows("By the tool's error", [_bin(f"{one:g} mm", size == one, promised, share) for one in rate])
     place = np.clip(np.searchsorted(EDGES, promised, side="right") - 1, 0, len(EDGES) - 2)
-    for number in np.unique(place):
-        here = place == number
-        told, was = float(promised[here].mean()), float(share[here].mean())
-        span = f"{EDGES[number]:g} to {EDGES[number + 1]:g}"
-        bins.add_row(span, str(here.sum()), f"{told:.1%}", f"{was:.1%}", f"{was - told:+.1%}")
-    CONSOLE.print(bins)
+    print_rows(
+        "Promised and held",
+        [_bin(f"{EDGES[k]:g} to {EDGES[k + 1]:g}", place == k, promised, share) for k in np.unique(place)],
+    )
     # in order of what was promised, so many at a time
     order = np.argsort(promised, kind="stable")
     parts = np.array_split(order, max(1, len(order) // BIN))
@@ -261,6 +228,14 @@ def print_found(found: list[Promise]) -> None:
     CONSOLE.print(
         f"in bins of {len(parts[0])} promises at most {worst:+.1%} off, {np.mean(share - promised):+.1%} in all"
     )
+
+
+def _bin(
+    name: str, here: Bool[np.ndarray, "n"], promised: Float64[np.ndarray, "n"], share: Float64[np.ndarray, "n"]
+) -> Row:
+    told, was = promised[here].mean(), share[here].mean()
+    shares = {"mean promise": f"{told:.1%}", "held": f"{was:.1%}", "off": f"{was - told:+.1%}"}
+    return {"": name, "plans": int(here.sum())} | shares
 
 
 def simulated_arm() -> ArmView:

@@ -7,7 +7,7 @@ they sent is compared with what the file holds, key by key, and with what the fi
 the recordings lie meanwhile.
 """
 
-import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -21,12 +21,11 @@ from statistics import median
 
 import psutil
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from agents.cli.live.up import write_config
 from agents.configuration.rig import RigConfig, RouterSection
-from benchmarks.recording_load import RIG
+from benchmarks.recording_load import RIG, publish
+from benchmarks.tables import CONSOLE, print_rows, write_json
 from shared.clock import monotonic_s, now_ns
 from shared.recording.completeness import completeness
 from shared.recording.mcap_file import read_recording
@@ -34,7 +33,7 @@ from shared.runtime.session import free_local_endpoint
 
 CLI = (sys.executable, "-m", "agents.cli")
 SAMPLE_S = 0.25
-ARRIVE_S = 1.5
+ARRIVE_S, STARTS_S = 1.5, 60.0
 """After the last message was sent, before the recorder is stopped."""
 CPU_GOAL, GROWTH_GOAL_MB, KILL_GOAL_S = 0.25, 20.0, 0.5
 
@@ -77,14 +76,17 @@ class Run:
 
 def main() -> None:
     """Measure, print tables, and write JSON where asked to."""
-    options = tyro.cli(Options)
+    options = tyro.cli(Options, description=__doc__)
     load_before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         runs = _all_runs(Path(folder), options)
-    print_tables(runs, load_before)
-    if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps([vars(run) for run in runs], indent=1) + "\n")
+    print_rows(f"load {load_before:.1f} before the start, on {os.cpu_count()} cores", [_row(run) for run in runs])
+    for run in runs:
+        if run.unheard_s is not None:
+            CONSOLE.print(f"{run.name}: {run.unheard_s:.2f} s lost, goal {KILL_GOAL_S}; the file says: {run.sentence}")
+        elif run.lost_by_key or run.stated != run.lost:
+            CONSOLE.print(f"{run.name}: lost {run.lost_by_key}; the file says {run.stated}")
+    write_json(options.json, [vars(run) for run in runs])
 
 
 def _all_runs(folder: Path, options: Options) -> list[Run]:
@@ -112,49 +114,38 @@ def measure(folder: Path, name: str, camera: str, seconds: float, killed: bool, 
         stdout=subprocess.PIPE,
         text=True,
     )
-    publishers = [_publisher(endpoint, process) for process in (camera, "robot", "perception")]
+    context = multiprocessing.get_context("spawn")
+    begin, counts = context.Event(), context.Queue()
+    publishers = [
+        (context.Process(target=publish, args=(endpoint, process, seconds, ready, begin, counts)), ready)
+        for process, ready in ((process, context.Event()) for process in (camera, "robot", "perception"))
+    ]
     try:
-        for publisher in publishers:
-            assert _line(publisher) == "ready"
+        for publisher, _ in publishers:
+            publisher.start()
+        for _, ready in publishers:
+            if not ready.wait(STARTS_S):
+                raise SystemExit("the publishers did not come up")
         run = Run(name)
-        for publisher in publishers:
-            _tell(publisher, f"{seconds}\n")
+        begin.set()
         killed_ns = _watch(recorder, seconds, killed, run)
         sent = Counter[str]()
-        for publisher in publishers:
-            sent.update(json.loads(_line(publisher)))
+        for _ in publishers:
+            sent.update(counts.get(timeout=seconds + STARTS_S))
         threading.Event().wait(ARRIVE_S)
         if not killed:
             recorder.terminate()
         run.sentence = recorder.communicate()[0].strip()
-        print(run.sentence)
+        CONSOLE.print(run.sentence)
     finally:
-        for process in (*publishers, recorder, router):
+        for publisher, _ in publishers:
+            publisher.kill()
+        for process in (recorder, router):
             process.kill()
             process.wait()
     _judge(run, path, sent, killed_ns)
     path.unlink()
     return run
-
-
-def _publisher(endpoint: str, process: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.recording_load", endpoint, process],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-
-
-def _line(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return process.stdout.readline().strip()
-
-
-def _tell(process: subprocess.Popen[str], line: str) -> None:
-    assert process.stdin is not None
-    process.stdin.write(line)
-    process.stdin.flush()
 
 
 def _watch(recorder: subprocess.Popen[str], seconds: float, killed: bool, run: Run) -> int | None:
@@ -191,33 +182,21 @@ def _judge(run: Run, path: Path, sent: Counter[str], killed_ns: int | None) -> N
     run.lost, run.stated = sum(run.lost_by_key.values()), sum(told.lost.values())
 
 
-def print_tables(runs: list[Run], load_before: float) -> None:
-    """Each load against its goals."""
-    console = Console(width=140)
-    console.print(f"load {load_before:.1f} before the start, on {os.cpu_count()} cores")
-    table = Table("load", "sent", "lost", "goal", "file MB", "share of a core", "goal", "most MB", "grew MB", "goal")
-    for run in runs:
-        cpu_goal = f"{CPU_GOAL:.2f}" if run.name.startswith("JPEG") else ""
-        # of what was killed nobody counted what came in the last moments
-        killed = run.unheard_s is not None
-        table.add_row(
-            run.name,
-            f"{run.sent}",
-            "-" if killed else f"{run.lost}",
-            "" if killed else "0",
-            f"{run.megabytes:.0f}",
-            f"{run.cpu:.2f}",
-            cpu_goal,
-            f"{run.most_mb:.0f}",
-            f"{run.growth_mb:+.1f}",
-            f"{GROWTH_GOAL_MB:.0f}",
-        )
-    console.print(table)
-    for run in runs:
-        if run.unheard_s is not None:
-            console.print(f"{run.name}: {run.unheard_s:.2f} s lost, goal {KILL_GOAL_S}; the file says: {run.sentence}")
-        elif run.lost_by_key or run.stated != run.lost:
-            console.print(f"{run.name}: lost {run.lost_by_key}; the file says {run.stated}")
+def _row(run: Run) -> dict[str, object]:
+    """A load against its goals; of what was killed nobody counted what came in the last moments."""
+    killed = run.unheard_s is not None
+    return {
+        "load": run.name,
+        "sent": run.sent,
+        "lost": None if killed else run.lost,
+        "goal": None if killed else 0,
+        "file MB": f"{run.megabytes:.0f}",
+        "share of a core": f"{run.cpu:.2f}",
+        "cpu goal": CPU_GOAL if run.name.startswith("JPEG") else None,
+        "most MB": f"{run.most_mb:.0f}",
+        "grew MB": f"{run.growth_mb:+.1f}",
+        "growth goal": f"{GROWTH_GOAL_MB:.0f}",
+    }
 
 
 if __name__ == "__main__":

@@ -1,17 +1,14 @@
-"""What a rig publishes, at its rates, from processes of their own: the load of the benchmark of recording.
+"""What a rig publishes, at its rates: the load of the benchmark of recording.
 
-    python -m benchmarks.recording_load ENDPOINT PROCESS
-
-waits until it is listened to, says `ready`, and publishes from the line with a number of seconds that it is given until
-they are over; then it prints how many messages of each key it sent. Images are real ones with noise of a sensor, states
-and calibration real messages; of the others only the size and the rate are real.
+Images are real ones with noise of a sensor, states and calibration real messages; of the others only the size and the
+rate are real.
 """
 
-import json
 import os
-import sys
 import threading
 from dataclasses import dataclass
+from multiprocessing.queues import Queue
+from multiprocessing.synchronize import Event
 from typing import Any
 
 import cv2
@@ -95,19 +92,21 @@ def streams(process: str) -> list[Stream]:
             ]
 
 
-def publish(endpoint: str, process: str) -> dict[str, int]:
-    """Publish when told to, for as long as told; how many messages of each key were sent."""
-    sent = streams(process)
+def publish(endpoint: str, process: str, seconds: float, ready: Event, begin: Event, sent: "Queue[Any]") -> None:
+    """Publish what a process does for so long, from when all begin; tells how many messages of each key it sent."""
     with open_session(SessionSettings(RIG, endpoint)) as session:
-        publishers = [declare_publisher(session, stream.key, stream.topic) for stream in sent]
-        probes: list[Any] = [session.declare_publisher(stream.key) for stream in sent]
+        published = streams(process)
+        publishers = [declare_publisher(session, stream.key, stream.topic) for stream in published]
+        probes: list[Any] = [session.declare_publisher(stream.key) for stream in published]
         pause = threading.Event()
         while not all(probe.matching_status.matching for probe in probes):
             pause.wait(0.05)
-        print("ready", flush=True)
-        counts = _send(sent, publishers, float(sys.stdin.readline()))
-        sys.stdin.read()
-    return {stream.key: count for stream, count in zip(sent, counts, strict=True)}
+        ready.set()
+        begin.wait()
+        counts = _send(published, publishers, seconds)
+        sent.put({stream.key: count for stream, count in zip(published, counts, strict=True)})
+        # what is on its way arrives; the benchmark ends this process
+        pause.wait()
 
 
 def _send(sent: list[Stream], publishers: list[Any], seconds: float) -> list[int]:
@@ -122,7 +121,6 @@ def _send(sent: list[Stream], publishers: list[Any], seconds: float) -> list[int
                 counts[number] += 1
                 due_s[number] = due_s[number] + 1.0 / stream.rate_hz if stream.rate_hz else begin_s + 2.0 * seconds
         pause.wait(max(0.0, min(due_s) - monotonic_s()))
-    print(json.dumps({stream.key: count for stream, count in zip(sent, counts, strict=True)}), flush=True)
     return counts
 
 
@@ -152,7 +150,3 @@ def _calibration() -> Stream:
 
 def _filler(topic: Topic, size: int, rate_hz: float, agent: str = "", instance: str = "main") -> Stream:
     return Stream(topic, (np.random.default_rng(size).bytes(size),), rate_hz, agent, instance)
-
-
-if __name__ == "__main__":
-    publish(sys.argv[1], sys.argv[2])

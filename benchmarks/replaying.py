@@ -7,7 +7,6 @@ apart, the error is how much more or less than d / rate apart they were sent, or
 ten seconds of 30 frames a second (240 kB each), the arm at 100 Hz, the field at 60 Hz and 30 results a second.
 """
 
-import json
 import multiprocessing
 import os
 import re
@@ -19,15 +18,14 @@ from dataclasses import asdict, dataclass
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from agents.replay.contents import contents_of, known_topic, readable
 from agents.replay.flow import Spacing, spacing_errors_ms, spacing_of
+from benchmarks.tables import Goal, Row, print_goals, print_rows, write_json
 from schemas.topics import FRAMES, OBSERVATIONS, ROBOT_STATE, SIMULATOR_STATE, TOPICS, Topic, key
 from shared.clock import monotonic_s
 from shared.recording.mcap_file import Entry, RecordingWriter
@@ -60,16 +58,21 @@ class Options:
 
 def main() -> None:
     """Measure, print a table, and write JSON where asked to."""
-    options = tyro.cli(Options)
+    options = tyro.cli(Options, description=__doc__)
     with tempfile.TemporaryDirectory() as folder:
         measured = measure(options.recording or made(Path(folder) / "made.mcap"), options.rate, Path(folder))
-    print_row(measured)
-    if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(measured, indent=1) + "\n")
+    sent, heard = measured["sent"], measured["heard"]
+    told = {name: measured[name] for name in ("rate", "messages", "not heard", "load before")}
+    print_rows(
+        "spacing of a replay: error in ms",
+        [{"where": name} | told | of for name, of in (("sent", sent), ("heard", heard))],
+    )
+    met = sent["p99_ms"] <= GOAL_P99_MS
+    print_goals("goals", [Goal("p99 as sent, idle machine, ms", f"{sent['p99_ms']:.2f}", f"≤ {GOAL_P99_MS:g}", met)])
+    write_json(options.json, measured)
 
 
-def measure(recording: Path, rate: float, folder: Path) -> dict[str, Any]:
+def measure(recording: Path, rate: float, folder: Path) -> Row:
     """Replay a recording once; errors of its spacing in milliseconds, of sender and subscriber, and what got lost."""
     endpoint, load = free_local_endpoint(), os.getloadavg()[0]
     config = folder / "rig.toml"
@@ -93,21 +96,6 @@ def measure(recording: Path, rate: float, folder: Path) -> dict[str, Any]:
         "load before": load,
         "cores": os.cpu_count(),
     }
-
-
-def print_row(measured: dict[str, Any]) -> None:
-    """One row: the error where it was sent, and where it was heard."""
-    table = Table(title="spacing of a replay: error in ms", title_justify="left")
-    for column in ("rate", "messages", "not heard", "sent p50", "p99", "worst", "heard p50", "p99", "worst", "load"):
-        table.add_column(column, justify="right")
-    figures = [
-        f"{measured[where][name]:.2f}" for where in ("sent", "heard") for name in ("p50_ms", "p99_ms", "worst_ms")
-    ]
-    counts = (f"{measured['rate']:g}", str(measured["messages"]), str(measured["not heard"]))
-    table.add_row(*counts, *figures, f"{measured['load before']:.1f}")
-    Console(width=140).print(table)
-    met = "met" if measured["sent"]["p99_ms"] <= GOAL_P99_MS else "not met"
-    print(f"goal on an idle machine: p99 at most {GOAL_P99_MS:g} ms as sent: {met}")
 
 
 def made(path: Path) -> Path:

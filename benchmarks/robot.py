@@ -1,8 +1,8 @@
-"""The way to a real robot, measured without one: messages, kinematics, set points, and how soon an arm stands still.
+"""The way to a real robot, measured without one: hostile plans, set points, and how soon an arm stands still.
 
     .venv/bin/python -m benchmarks.robot [--repeats 3] [--hostile 10000] [--json FILE]
 
-- messages are compared with cyclonedds's own library too where that is installed;
+- hostile: random and hostile plans, commands, clocks and owners, with the guard and without;
 - stops: how soon an emulated arm stands still when something is lost in mid-motion. Bridge and person reach console and
   rig through relays, which can be stopped, as a cable can be pulled, or queue;
 - jitter: how evenly set points go out at 200 Hz while the whole pipeline runs beside the bridge, by the times that the
@@ -14,7 +14,6 @@ All that runs are processes of this machine; what it does meanwhile shows in the
 """
 
 import contextlib
-import json
 import logging
 import os
 import queue
@@ -22,29 +21,25 @@ import tempfile
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import tyro
-from rich.table import Table
 
 from agents.cli.lab.rehearsal.network import CannotError
 from agents.cli.lab.rehearsal.processes import faketime
-from benchmarks.tables import CONSOLE
+from benchmarks.tables import CONSOLE, Row, print_rows, write_json
 from schemas.codec import decode
 from schemas.messages import ExecutionEvent, ExecutionKind
 from schemas.topics import EXECUTION
-from shared.clock import monotonic_s, now_ns, processor_s
-from shared.kinematics.psm import INSERTION, LARGE_NEEDLE_DRIVER, forward, inverse
+from shared.clock import monotonic_s, now_ns
 from shared.runtime.session import SessionSettings, open_session
 from shared.runtime.taps import Tapped, tap
 from tests.rigs.robot.hostile import hostile
 from tests.rigs.robot.lab import RIG, STANDS_S, Lab, NotMovingError
-from tests.rigs.robot.messages import CYCLONE, PYCDR2, compared, others
 
-POSES, ROUNDS = 20_000, 3
 GOAL_JITTER_MS, GOAL_MISSED_PERCENT = 2.0, 0.1
-GOAL_ERROR, GOAL_MICROSECONDS, GOAL_STANDS_MS = 1e-12, 50.0, 250.0
+GOAL_STANDS_MS = 250.0
 
 
 @dataclass(frozen=True)
@@ -59,7 +54,7 @@ class Options:
     """For which set points are sent while the whole pipeline runs, with real-time priority and without."""
     minutes: float = 30.0
     """For which one motion follows another, to see whether the arm holds though nobody wants it to."""
-    only: Literal["all", "messages", "kinematics", "hostile", "stops", "jitter", "availability"] = "all"
+    only: Literal["all", "hostile", "stops", "jitter", "availability"] = "all"
     """One part alone."""
     json: Path | None = None
     """Write everything there."""
@@ -67,101 +62,58 @@ class Options:
 
 def main() -> None:
     """Measure and print."""
-    options = tyro.cli(Options)
-    found: dict[str, Any] = {"load": os.getloadavg()[0], "processors": os.cpu_count()}
-    if options.only in ("all", "messages"):
-        found["messages"] = compared()
-        _print("CDR, byte for byte", found["messages"])
-        if CYCLONE not in others():
-            CONSOLE.print(f"  {CYCLONE} is not installed here; compared with {PYCDR2} alone")
-    if options.only in ("all", "kinematics"):
-        found["kinematics"] = kinematics()
-        _print("Kinematics of the PSM", [found["kinematics"]])
-    if options.only in ("all", "hostile"):
-        logging.disable(logging.WARNING)
-        found["hostile"] = [
-            {"guard": "on" if guarded else "off"} | hostile(options.hostile, guarded=guarded)
-            for guarded in (True, False)
-        ]
-        shown = [{name: each[name] for name in each if name != "sentences"} for each in found["hostile"]]
-        _print("Hostile plans and commands; goal: nothing unsafe, nothing wrongly accepted, no step failed", shown)
-        logging.disable(logging.NOTSET)
-    if options.only in ("all", "stops"):
-        codecs = ("ros2dds", "rmw_zenoh")
-        turns = [(loss, codec) for _ in range(options.repeats) for codec in codecs for loss in LOSSES]
-        found["stops"] = list[dict[str, Any]]()
-        for turn in turns:
-            CONSOLE.print(f"  {' '.join(turn)}: motion {len(found['stops']) + 1} of {len(turns)}")
-            found["stops"].append(stopped_after(*turn))
-        _print(f"Lost in mid-motion; goal: it stands within {GOAL_STANDS_MS:.0f} ms", found["stops"])
-        found["queues"] = []
-        bad = QUEUES + (CLOCKS if can_set_clocks() else ())
-        if len(bad) == len(QUEUES):
-            CONSOLE.print("  no clock is set: libfaketime is not installed")
-        for number, queue in enumerate(bad):
-            CONSOLE.print(f"  {queue[0]}: {queue[1]} {queue[2]:g} s: {number + 1} of {len(bad)}")
-            found["queues"].append(released_through(*queue))
-        goal = f"goal: none later than {BOUND_MS:.0f} ms after the button was released"
-        _print(f"Last set point at the console while a link is bad, or a clock was set; {goal}", found["queues"])
-        if missing := sum(row["set points"] is None for row in found["stops"]):
-            CONSOLE.print(
-                f"  {missing} of {len(turns)} motions did not come about; `waited` names what had no processor"
-            )
-    if options.only in ("all", "jitter"):
-        found["jitter"] = [jitter(options.seconds, realtime) for realtime in (True, False)]
-        goal = f"goal with it: p99 within {GOAL_JITTER_MS:g} ms, {GOAL_MISSED_PERCENT:g} % missed"
-        _print(
-            f"Set points at 200 Hz under the whole pipeline, with real-time priority and without; {goal}",
-            found["jitter"],
-        )
-    if options.only in ("all", "availability"):
-        found["availability"] = [availability(options.minutes)]
-        _print("One motion after another; goal: no hold that nobody wanted", found["availability"])
-    if options.json is not None:
-        options.json.write_text(json.dumps(found, indent=1) + "\n")
+    options = tyro.cli(Options, description=__doc__)
+    found: Row = {"load": os.getloadavg()[0], "processors": os.cpu_count()}
+    parts = {"hostile": _hostile, "stops": _stops, "jitter": _jitter, "availability": _availability}
+    for name, part in parts.items():
+        if options.only in ("all", name):
+            found |= part(options)
+    write_json(options.json, found)
 
 
-def kinematics() -> dict[str, Any]:
-    """How well the inverse undoes the forward kinematics over the joints' whole range, and how long each takes."""
-    limits = LARGE_NEEDLE_DRIVER.limits.copy()
-    limits[INSERTION, 0] = LARGE_NEEDLE_DRIVER.shaft_clearance - LARGE_NEEDLE_DRIVER.shaft_offset
-    joints = limits[:, 0] + np.random.default_rng(3).random((POSES, 6)) * np.diff(limits, axis=1)[:, 0]
-    T = forward(joints)
-    solved = inverse(T)
-    # beyond half a turn the roll comes back by whole turns, which lead to the same pose
-    error = float(np.abs(forward(solved.joints) - T).max())
-    taken = {"forward µs": _microseconds(lambda: forward(joints)), "inverse µs": _microseconds(lambda: inverse(T))}
-    return {
-        "poses": POSES,
-        "unsolved": int(np.isnan(solved.joints).any(axis=1).sum()),
-        "error": error,
-        **taken,
-        "met": error <= GOAL_ERROR and max(taken.values()) <= GOAL_MICROSECONDS,
-    }
+def _hostile(options: Options) -> Row:
+    logging.disable(logging.WARNING)
+    found = [
+        {"guard": "on" if guarded else "off"} | hostile(options.hostile, guarded=guarded) for guarded in (True, False)
+    ]
+    logging.disable(logging.NOTSET)
+    shown = [{name: each[name] for name in each if name != "sentences"} for each in found]
+    print_rows("Hostile plans and commands; goal: nothing unsafe, nothing wrongly accepted, no step failed", shown)
+    return {"hostile": found}
 
 
-def _microseconds(work: Any) -> float:
-    taken: list[float] = []
-    for _ in range(ROUNDS):
-        begun_s = processor_s()
-        work()
-        taken.append((processor_s() - begun_s) / POSES * 1e6)
-    return min(taken)
+def _stops(options: Options) -> Row:
+    turns = [(loss, codec) for _ in range(options.repeats) for codec in CODECS for loss in LOSSES]
+    stops: list[Row] = []
+    for turn in turns:
+        CONSOLE.print(f"  {' '.join(turn)}: motion {len(stops) + 1} of {len(turns)}")
+        stops.append(stopped_after(*turn))
+    print_rows(f"Lost in mid-motion; goal: it stands within {GOAL_STANDS_MS:.0f} ms", stops)
+    bad = QUEUES + (CLOCKS if can_set_clocks() else ())
+    if len(bad) == len(QUEUES):
+        CONSOLE.print("  no clock is set: libfaketime is not installed")
+    queues: list[Row] = []
+    for link, mode, seconds in bad:
+        CONSOLE.print(f"  {link}: {mode} {seconds:g} s: {len(queues) + 1} of {len(bad)}")
+        queues.append(released_through(link, mode, seconds))
+    goal = f"goal: none later than {BOUND_MS:.0f} ms after the button was released"
+    print_rows(f"Last set point at the console while a link is bad, or a clock was set; {goal}", queues)
+    if missing := sum(row["set points"] is None for row in stops):
+        CONSOLE.print(f"  {missing} of {len(turns)} motions did not come about; `waited` names what had no processor")
+    return {"stops": stops, "queues": queues}
 
 
-def _print(title: str, rows: list[dict[str, Any]]) -> None:
-    table = Table(title=title, title_justify="left")
-    for column in rows[0]:
-        table.add_column(column, justify="right")
-    for row in rows:
-        table.add_row(*(_shown(value) for value in row.values()))
-    CONSOLE.print(table)
+def _jitter(options: Options) -> Row:
+    found = [jitter(options.seconds, realtime) for realtime in (True, False)]
+    goal = f"goal with it: p99 within {GOAL_JITTER_MS:g} ms, {GOAL_MISSED_PERCENT:g} % missed"
+    print_rows(f"Set points at 200 Hz under the whole pipeline, with real-time priority and without; {goal}", found)
+    return {"jitter": found}
 
 
-def _shown(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.1e}" if 0 < abs(value) < 1e-3 else f"{value:.1f}"
-    return "-" if value is None else str(value)
+def _availability(options: Options) -> Row:
+    found = [availability(options.minutes)]
+    print_rows("One motion after another; goal: no hold that nobody wanted", found)
+    return {"availability": found}
 
 
 LONGEST_S = 60.0
@@ -169,7 +121,7 @@ LONGEST_S = 60.0
 ENDS = (ExecutionKind.FINISHED, ExecutionKind.HELD, ExecutionKind.REFUSED)
 
 
-def availability(minutes: float) -> dict[str, Any]:
+def availability(minutes: float) -> Row:
     """Motions for so long; a row of a table."""
     told = queue.SimpleQueue[ExecutionEvent]()
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
@@ -219,7 +171,7 @@ def _end_of(plan_id: str, told: "queue.SimpleQueue[ExecutionEvent]") -> Executio
 HZ = 200.0
 PRIORITY = 50
 MOST_TURNS = 40
-PIPELINE: dict[str, Any] = {
+PIPELINE: Row = {
     "camera": {},
     "perception": {},
     "reconstruction": {},
@@ -232,7 +184,7 @@ GAP_MS = 200.0
 """As long as that no motion lasts without a set point: the bridge holds, and is armed again."""
 
 
-def jitter(seconds: float, realtime: bool) -> dict[str, Any]:
+def jitter(seconds: float, realtime: bool) -> Row:
     """Set points for so long, with real-time priority for the bridge or without; a row of a table."""
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         turns = max(6, min(round(seconds * TURNS_A_SECOND), MOST_TURNS))
@@ -291,6 +243,7 @@ FIGURES = (
 ATTEMPTS = 3
 """A motion may not come about where the console, a process in Python like the others, hardly gets a processor."""
 Waits = dict[tuple[str, str], float]
+CODECS = "ros2dds", "rmw_zenoh"
 LOSSES = ("operator", "camera", "router", "link", "bridge")
 """The operator lets go, the camera freezes, all else is killed or stopped."""
 QUEUES = tuple(
@@ -319,13 +272,13 @@ def can_set_clocks() -> bool:
     return False
 
 
-def stopped_after(loss: str, codec: str) -> dict[str, Any]:
+def stopped_after(loss: str, codec: str) -> Row:
     """One motion with one loss: what the emulated console says of it (ms after the loss), its oracle's verdict.
 
     `waited` names the process of which a thread waited longest for a processor from the loss to the arm's standing
     still: on a busy machine what took long may be that. Where no motion came about in ATTEMPTS, all else is None.
     """
-    found = dict[str, Any]()
+    found = Row()
     for _ in range(ATTEMPTS):
         found = _attempt(loss, codec)
         if found["set points"] is not None:
@@ -340,7 +293,7 @@ def longest_wait(before: Waits, after: Waits) -> str:
     return f"{name} {ms:.0f} ms"
 
 
-def _attempt(loss: str, codec: str) -> dict[str, Any]:
+def _attempt(loss: str, codec: str) -> Row:
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         dvrk = {"codec": codec}
         lab = stack.enter_context(contextlib.closing(Lab(Path(folder), dvrk, stack)))
@@ -352,7 +305,7 @@ def _attempt(loss: str, codec: str) -> dict[str, Any]:
             return named | dict.fromkeys(FIGURES) | {"waited": longest_wait({}, lab.waited_ms())}
 
 
-def _stopped(lab: Lab, loss: str) -> dict[str, Any]:
+def _stopped(lab: Lab, loss: str) -> Row:
     before, waited = lab.verdict(), lab.waited_ms()
     lost_ns = now_ns()
     lab.lose(loss)
@@ -378,12 +331,12 @@ def _stopped(lab: Lab, loss: str) -> dict[str, Any]:
     return dict(zip(FIGURES, told, strict=True))
 
 
-def released_through(link: str, mode: str, seconds: float) -> dict[str, Any]:
+def released_through(link: str, mode: str, seconds: float) -> Row:
     """One motion in which a link turns bad, or a clock is set, and the person lets go: when the last set point came.
 
     Times are in ms after the person let go; a motion that was held before has its last set point before.
     """
-    named: dict[str, Any] = {"link": link, "queues": mode, "s": seconds}
+    named: Row = {"link": link, "queues": mode, "s": seconds}
     figures = ("last set point ms", "hold ms", "unsafe", "armed again", "met")
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         lab = stack.enter_context(

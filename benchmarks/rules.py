@@ -18,25 +18,21 @@ import numpy as np
 import tyro
 from jaxtyping import Float64
 from rich.progress import track
-from rich.table import Table
 
-from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.perception import observe
 from agents.perception.candidates import candidates
 from agents.perception.centrelines import centrelines, glints
 from agents.perception.segmentation import network
 from agents.perception.segmenter_names import NETWORK
-from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.refined import method
-from benchmarks import lab, perception
-from benchmarks.perception import precision, recall
-from benchmarks.scenes import CLEAR, CROSSING, OCCLUSION, scenes
-from benchmarks.tables import CONSOLE
-from benchmarks.thread_free import Empty, thread_free
-from schemas.messages import Status, ThreadReconstruction
+from benchmarks import lab
+from benchmarks.curve_verdicts import RIGHT, WRONG
+from benchmarks.perception import precision, recall, row_of
+from benchmarks.scenes import SHOWN_RENDERS, reconstructed, rendered, scenes
+from benchmarks.tables import print_rows
+from benchmarks.thread_free import thread_free
+from schemas.messages import Status
 
-PATH_TRACED = CLEAR, CROSSING, OCCLUSION
-RIGHT, WRONG = "right", "wrong though ok"
 Change = tuple[ModuleType, str, Any]
 
 
@@ -80,18 +76,19 @@ class Options:
 
 def main() -> None:
     """Leave out and print."""
-    options = tyro.cli(Options)
+    options = tyro.cli(Options, description=__doc__)
     if not (options.lab or options.renders or options.thread_free):
         raise SystemExit("name folders by --lab, --renders or --thread-free; suturegrasp scenes render makes some")
     whole = judged(options, "nothing", ())
-    columns = [name for name, values in whole.items() if len(values)]
-    table = Table("left out", *(f"{name} ({len(whole[name])})" for name in columns), title="changes of means")
-    table.add_row("nothing: the means", *(f"{np.nanmean(whole[name]):.3f}" for name in columns))
-    for name, changes in RULES.items():
-        if options.only in name:
-            without = judged(options, name, changes)
-            table.add_row(name, *(interval(without[kind] - whole[kind], options.draws) for kind in columns))
-    CONSOLE.print(table)
+    columns = {name: f"{name} ({len(values)})" for name, values in whole.items() if len(values)}
+    means = {column: f"{np.nanmean(whole[name]):.3f}" for name, column in columns.items()}
+    rows = [{"left out": "nothing: the means"} | means]
+    for rule, changes in RULES.items():
+        if options.only in rule:
+            without = judged(options, rule, changes)
+            changed = {c: interval(without[name] - whole[name], options.draws) for name, c in columns.items()}
+            rows.append({"left out": rule} | changed)
+    print_rows("changes of means", rows)
 
 
 def judged(options: Options, name: str, changes: tuple[Change, ...]) -> dict[str, Float64[np.ndarray, "n"]]:
@@ -106,13 +103,14 @@ def judged(options: Options, name: str, changes: tuple[Change, ...]) -> dict[str
 
 def _of_lab(options: Options, name: str) -> dict[str, Float64[np.ndarray, "n"]]:
     paths = sorted(path for folder in options.lab for path in folder.glob("*.json"))
-    verdicts = [lab.judged(path, lab.Options(path.parent))["verdict"] for path in track(paths, name, transient=True)]
+    given = (rendered(path) for path in track(paths, name, transient=True))
+    verdicts = [lab.judged(scene, reconstructed(scene))["verdict"] for scene in given]
     return {kind: np.array([100.0 * (verdict == kind) for verdict in verdicts]) for kind in (RIGHT, WRONG)}
 
 
 def _of_renders(options: Options, name: str) -> dict[str, Float64[np.ndarray, "n"]]:
-    loads = [load for folder in options.renders for _, group, load in scenes(folder) if group in PATH_TRACED]
-    rows = [perception.row_of(load(), NETWORK, False, None) for load in track(loads, name, transient=True)]
+    loads = [load for folder in options.renders for _, group, load in scenes(folder) if group in SHOWN_RENDERS]
+    rows = [row_of(load(), NETWORK) for load in track(loads, name, transient=True)]
     error = [np.nan if row.get("mean seen") is None else row["mean seen"] for row in rows]
     return {
         "recall %": np.array([100 * recall(row) for row in rows]),
@@ -124,21 +122,9 @@ def _of_renders(options: Options, name: str) -> dict[str, Float64[np.ndarray, "n
 def _of_thread_free(options: Options, name: str) -> dict[str, Float64[np.ndarray, "n"]]:
     if not options.thread_free:
         return {"false curves": np.zeros(0)}
-    frames = thread_free(options.frames, 0, options.thread_free)
-    return {
-        "false curves": np.array(
-            [
-                100.0 * (_curve_of(one).status is Status.OK)
-                for one in track(frames, name, options.frames, transient=True)
-            ]
-        )
-    }
-
-
-def _curve_of(pair: Empty) -> ThreadReconstruction:
-    return reconstruct_pair(
-        pair.images, pair.calibration, masks=None, segmenter=None, method=DEFAULT_METHOD
-    ).reconstruction
+    frames = track(thread_free(options.frames, 0, options.thread_free), name, options.frames, transient=True)
+    ok = [reconstructed(scene).reconstruction.status is Status.OK for scene in frames]
+    return {"false curves": 100.0 * np.array(ok, np.float64)}
 
 
 def interval(changes: Float64[np.ndarray, "n"], draws: int) -> str:

@@ -11,24 +11,23 @@ Without --seed a seed is drawn and told; scenes that lie in the folder already a
 into the record whatever it says, and a set that was looked at is sealed no more.
 """
 
-import json
 import secrets
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tyro
 from rich.progress import track
-from rich.table import Table
 
 from agents.perception.segmenter_names import NETWORK
-from benchmarks import lab, perception
-from benchmarks.perception import false_threads, precision, recall
-from benchmarks.scenes import scenes
-from benchmarks.tables import CONSOLE
+from benchmarks.curve_verdicts import REFUSED, RIGHT, WRONG
+from benchmarks.lab import judged
+from benchmarks.measures import coverage_of
+from benchmarks.perception import false_threads, found_row, precision, recall
+from benchmarks.scenes import reconstructed, rendered
+from benchmarks.tables import CONSOLE, Row, print_rows, share, write_json
 
 SEEDS = 10**9
 WHOLE = 0.95
@@ -54,25 +53,24 @@ class Options:
 
 def main() -> None:
     """Draw, render, judge and print."""
-    options = tyro.cli(Options)
+    options = tyro.cli(Options, description=__doc__)
     seed = secrets.randbelow(SEEDS) if options.seed is None else options.seed
     CONSOLE.print(f"seed {seed}")
-    rendered(options, seed)
-    rows = {name: _rows(options.output / name) for name in ("crossings", "lab")}
-    table = Table("what", *rows, title=f"sealed scenes, seed {seed}", title_justify="left")
-    for what in _figures(rows["lab"]):
-        table.add_row(what, *(_figures(of)[what] for of in rows.values()))
-    CONSOLE.print(table)
+    render_all(options, seed)
+    rows = {name: _rows(options.output / name / "renders") for name in ("crossings", "lab")}
+    figures = {name: _figures(of) for name, of in rows.items()}
+    told = [{"what": what} | {name: of[what] for name, of in figures.items()} for what in figures["lab"]]
+    print_rows(f"sealed scenes, seed {seed}", told)
     for name, of in rows.items():
-        wrong = [row["scene"] for row in of if row["verdict"] == "wrong though ok"]
+        wrong = [row["scene"] for row in of if row["verdict"] == WRONG]
         CONSOLE.print(f"{name}, wrong though ok: {', '.join(wrong) or 'none'}")
     free = false_threads(options.frames, NETWORK, seed, [options.output / "free", options.output / "free_lab"])
     for kind, counts in free.items():
         CONSOLE.print(f"thread-free, {kind}: {counts['reconstruction']} curves in {counts['frames']} frames")
-    (options.output / "sealed.json").write_text(json.dumps({"seed": seed, "rows": rows, "thread-free": free}) + "\n")
+    write_json(options.output / "sealed.json", {"seed": seed, "rows": rows, "thread-free": free})
 
 
-def rendered(options: Options, seed: int) -> None:
+def render_all(options: Options, seed: int) -> None:
     """Render what is not there yet."""
     tissue, with_meshes = ("chicken", "paper"), ("--with", "meshes", "--meshes", str(options.meshes))
     most = -(-20 // options.small), -(-5 // options.small), -(-15 // options.small)
@@ -93,38 +91,38 @@ def _render(
         raise SystemExit("the scenes could not be rendered; what suturegrasp scenes render said stands above")
 
 
-def _rows(folder: Path) -> list[dict[str, Any]]:
+def _rows(folder: Path) -> list[Row]:
     """Of each scene what `benchmarks.perception` and `benchmarks.lab` make of it."""
-    loads = [(name.split()[-1], load) for name, kind, load in scenes(folder) if not kind.startswith("hidden")]
-    if not loads:
+    paths = sorted(folder.glob("*.json"))
+    if not paths:
         raise SystemExit(f"{folder} holds no scenes; what suturegrasp scenes render said stands above")
-    rows: list[dict[str, Any]] = []
-    for name, load in track(loads, folder.name, transient=True):
-        path = folder / "renders" / f"{name}.json"
-        row = perception.row_of(load(), NETWORK, False, None)
-        rows.append(row | {"scene": name, "verdict": lab.judged(path, lab.Options(path.parent))["verdict"]})
+    rows: list[Row] = []
+    for path in track(paths, folder.parent.name, transient=True):
+        scene = rendered(path)
+        result = reconstructed(scene, segmenter=NETWORK)
+        rows.append(found_row(scene, result) | {"verdict": judged(scene, result)["verdict"]})
     return rows
 
 
-def _figures(rows: list[dict[str, Any]]) -> dict[str, str]:
+def _figures(rows: list[Row]) -> dict[str, str]:
     """What the scenes of one kind come to, by name."""
     found, right = [recall(row) for row in rows], [precision(row) for row in rows if row["given"]]
-    all_found = sum(row["found"] for row in rows) / sum(row["true"] for row in rows)
-    all_right = sum(row["right"] for row in rows) / max(sum(row["given"] for row in rows), 1)
+    counts = {name: sum(row[name] for row in rows) for name in ("found", "true", "right", "given")}
     verdicts = [row["verdict"] for row in rows]
-    error = [row["mean seen"] for row in rows if row.get("mean seen") is not None]
-    inside = [np.sum(list(row["coverage"].values()), axis=0) for row in rows if row["coverage"]]
-    shares = [within / places for within, places in inside]
+    error = [row["mean seen"] for row in rows if row["mean seen"] is not None]
+    inside = [coverage_of(row) for row in rows if row["coverage"]]
     return {
         "scenes": str(len(rows)),
         "right / wrong though ok / refused": " / ".join(
-            str(verdicts.count(verdict)) for verdict in ("right", "wrong though ok", "refused")
+            str(verdicts.count(verdict)) for verdict in (RIGHT, WRONG, REFUSED)
         ),
-        "found whole": str(sum(share >= WHOLE for share in found)),
-        "recall, all / worst": f"{all_found:.1%} / {min(found):.1%}",
-        "precision, all / worst": f"{all_right:.1%} / {min(right, default=0.0):.1%}",
+        "found whole": str(sum(of >= WHOLE for of in found)),
+        "recall, all / worst": f"{share(counts['found'], counts['true'])} / {min(found):.1%}",
+        "precision, all / worst": f"{share(counts['right'], counts['given'])} / {min(right, default=0.0):.1%}",
         "error of visible parts, median / worst, mm": f"{np.median(error):.2f} / {max(error):.2f}" if error else "-",
-        "95 % ellipse, all / worst": f"{np.divide(*np.sum(inside, axis=0)):.1%} / {min(shares):.1%}" if inside else "-",
+        "95 % ellipse, all / worst": f"{share(*np.sum(inside, axis=0))} / {min(i / n for i, n in inside):.1%}"
+        if inside
+        else "-",
     }
 
 

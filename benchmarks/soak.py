@@ -8,7 +8,6 @@ in common with others, such as images in shared memory, is left out, as every pr
 first minutes, while processes fill what they keep on purpose, are left out too.
 """
 
-import json
 import os
 import tempfile
 import threading
@@ -19,13 +18,12 @@ from pathlib import Path
 import numpy as np
 import psutil
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from agents.cli.live.up import start_all, write_config
 from agents.configuration.rig import CameraSection, RigConfig, RouterSection, simulated_rig
 from agents.launch.session_folder import new_session_folder
 from agents.launch.supervisor import Supervisor, supervised
+from benchmarks.tables import print_rows, write_json
 from shared.clock import monotonic_s
 from shared.runtime.session import free_local_endpoint
 
@@ -85,17 +83,19 @@ class Trend:
 
 def main() -> None:
     """Run, print a table, and write JSON where asked to."""
-    options = tyro.cli(Options)
+    options = tyro.cli(Options, description=__doc__)
     endpoint = free_local_endpoint()
     sections = {"router": RouterSection(endpoint=endpoint), "camera": CameraSection(rate_hz=options.rate_hz)}
     with tempfile.TemporaryDirectory() as scratch:
         samples = soak(simulated_rig().model_copy(update=sections), options, options.folder or Path(scratch))
     trends = {name: trend(*np.transpose(of)) for name, of in samples.items()}
-    print_table(trends, options)
-    if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        told = {name: asdict(one) | {"flat": one.judgement} for name, one in trends.items()}
-        options.json.write_text(json.dumps(told, indent=1) + "\n")
+    told = {name: asdict(one) | {"flat?": one.judgement} for name, one in trends.items()}
+    title = (
+        f"{options.minutes:g} minutes after {options.settle:g}, camera at {options.rate_hz:g} Hz, load "
+        f"{os.getloadavg()[0]:.1f} at the end; goal: within {GOAL_PERCENT:g} % an hour"
+    )
+    print_rows(title, [{"process": name} | row for name, row in told.items()])
+    write_json(options.json, told)
 
 
 def soak(rig: RigConfig, options: Options, sessions: Path) -> dict[str, list[tuple[float, float]]]:
@@ -146,21 +146,6 @@ def trend(at_s: np.ndarray, resident: np.ndarray) -> Trend:
     left = percent - A @ np.array([slope, level])
     within = np.sqrt(left @ left / (len(blocks) - 2) / (A[:, 0] @ A[:, 0]))
     return Trend(first / MB, last / MB, float(slope), float(within))
-
-
-def print_table(trends: dict[str, Trend], options: Options) -> None:
-    """A row a process."""
-    title = (
-        f"{options.minutes:g} minutes after {options.settle:g}, camera at {options.rate_hz:g} Hz, load "
-        f"{os.getloadavg()[0]:.1f} at the end; goal: within {GOAL_PERCENT:g} % an hour"
-    )
-    table = Table(title=title, title_justify="left")
-    for column in ("process", "first tenth MB", "last tenth MB", "% an hour", "+-", "flat?"):
-        table.add_column(column, justify="left" if column in ("process", "flat?") else "right")
-    for name, one in trends.items():
-        figures = (f"{one.first_mb:.1f}", f"{one.last_mb:.1f}", f"{one.percent_per_hour:+.2f}", f"{one.within:.2f}")
-        table.add_row(name, *figures, one.judgement)
-    Console(width=110).print(table)
 
 
 if __name__ == "__main__":

@@ -6,21 +6,17 @@ tissue or distance, mirrored, upside down, in other light, under other noise.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from agents.camera.image_files import read_pair
-from benchmarks.scenes import Pair
-from schemas.messages import RectifiedStereo, StereoCalibration
-from shared.calibration import read_calibration
-from shared.camera import camera_matrix
-from shared.rendering.render import RENDERED, TISSUE, render_backdrop
+from agents.camera.scene_source import calibration_of
+from agents.cli.reconstruct.pipeline import Pair
+from benchmarks.scenes import Scene, rendered
+from shared.rendering.render import ENDOSCOPE, RENDERED, TISSUE, render_backdrop
 from shared.rendering.sensor import Sensor, expose, grain
 
-CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
 NEAREST_MM, FARTHEST_MM = 70.0, 120.0
 FRAMES_OF_ONE_TISSUE = 5
 """The same tissue under other noise is cheaper to render, and each frame is a chance of its own to be wrong."""
@@ -31,17 +27,8 @@ FAINT = Sensor(blur_px=0.0, read_noise=0.7, shot_noise=1.1)
 """Path-traced images have a camera's blur and noise already; this only makes two frames differ."""
 
 
-@dataclass(frozen=True)
-class Empty:
-    """A pair without thread, and what kind of scene it shows."""
-
-    kind: str
-    images: Pair
-    calibration: StereoCalibration
-
-
-def thread_free(frames: int, seed: int, folders: Sequence[Path] = ()) -> Iterator[Empty]:
-    """So many pairs without thread, of every kind as many, or one more.
+def thread_free(frames: int, seed: int, folders: Sequence[Path] = ()) -> Iterator[Scene]:
+    """So many pairs without thread, of every kind as many, or one more; the group of each is its kind.
 
     Raises:
         ValueError: for a folder without thread-free scenes.
@@ -55,57 +42,54 @@ def thread_free(frames: int, seed: int, folders: Sequence[Path] = ()) -> Iterato
         yield from _again(shares[2], seed, stored)
 
 
-def _drawn(frames: int, seed: int) -> Iterator[Empty]:
+def _drawn(frames: int, seed: int) -> Iterator[Scene]:
     """Drawn tissue: another one, at another distance, every few frames."""
     for tissue in range(-(-frames // FRAMES_OF_ONE_TISSUE)):
         rng = np.random.default_rng([seed, tissue, SALT])
         distance_mm = float(rng.uniform(NEAREST_MM, FARTHEST_MM))
-        backdrop = render_backdrop(CAMERA, TISSUE, distance_mm, int(rng.integers(1 << 30)))
-        for _ in range(min(FRAMES_OF_ONE_TISSUE, frames - tissue * FRAMES_OF_ONE_TISSUE)):
-            images = backdrop.left_bgr, backdrop.right_bgr
-            yield Empty("drawn tissue", _exposed(images, Sensor(), rng), calibration())
+        backdrop = render_backdrop(ENDOSCOPE, TISSUE, distance_mm, int(rng.integers(1 << 30)))
+        images = backdrop.left_bgr, backdrop.right_bgr
+        for frame in range(min(FRAMES_OF_ONE_TISSUE, frames - tissue * FRAMES_OF_ONE_TISSUE)):
+            name = f"{tissue}_{frame}"
+            yield Scene("drawn tissue", name, _exposed(images, Sensor(), rng), calibration_of(ENDOSCOPE))
 
 
-def _over_fields(frames: int, seed: int) -> Iterator[Empty]:
+def _over_fields(frames: int, seed: int) -> Iterator[Scene]:
     """The fields in turn, each time from another distance."""
     for frame in range(frames):
         rng = np.random.default_rng([seed, frame, SALT + 1])
-        backdrop = render_backdrop(CAMERA, RENDERED, float(rng.uniform(NEAREST_MM, FARTHEST_MM)), 1 + frame)
+        backdrop = render_backdrop(ENDOSCOPE, RENDERED, float(rng.uniform(NEAREST_MM, FARTHEST_MM)), 1 + frame)
         images = _varied((backdrop.left_bgr, backdrop.right_bgr), rng)
-        yield Empty("rendered fields", _exposed(images, Sensor(), rng), calibration())
+        yield Scene("rendered fields", str(frame), _exposed(images, Sensor(), rng), calibration_of(ENDOSCOPE))
 
 
 def _stored(folders: Sequence[Path]) -> list[Path]:
-    """The left images of the folders' scenes without thread.
+    """The documents of the folders' scenes without thread.
 
     Raises:
         ValueError: where there is none.
     """
-    scenes = [path for folder in folders for path in sorted(folder.glob("**/*_left.png")) if _has_no_thread(path)]
-    if folders and not scenes:
+    found = [path for folder in folders for path in sorted(folder.glob("**/*.json")) if _has_no_thread(path)]
+    if folders and not found:
         said = ", ".join(map(str, folders))
         raise ValueError(f"no thread-free scene in {said}; make some by suturegrasp scenes render --config none")
-    return scenes
+    return found
 
 
-def _again(frames: int, seed: int, scenes: Sequence[Path]) -> Iterator[Empty]:
+def _again(frames: int, seed: int, paths: Sequence[Path]) -> Iterator[Scene]:
     """The scenes in turn, the first time as they are."""
     for frame in range(frames):
-        left = scenes[frame % len(scenes)]
-        right = left.with_name(left.name.replace("_left.png", "_right.png"))
-        pair = read_pair(left, right)
-        rng = np.random.default_rng([seed, frame, SALT + 2])
-        if frame >= len(scenes):
-            pair = _exposed(_varied(pair, rng), FAINT, rng)
-        about = left.with_name(left.name.replace("_left.png", ".json"))
-        size = pair[0].shape[1], pair[0].shape[0]
-        yield Empty("path-traced scenes", pair, read_calibration(about, unit=None, image_size=size).calibration)
+        scene = rendered(paths[frame % len(paths)])
+        images, rng = scene.images, np.random.default_rng([seed, frame, SALT + 2])
+        if frame >= len(paths):
+            images = _exposed(_varied(images, rng), FAINT, rng)
+        yield Scene("path-traced scenes", f"{scene.name}_{frame}", images, scene.calibration)
 
 
-def _has_no_thread(left: Path) -> bool:
-    """Whether it is the left image of a scene whose mask is empty; there are masks of instruments beside it too."""
-    path = left.with_name(left.name.replace("_left.png", "_mask_left.png"))
-    return path.is_file() and not np.any(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+def _has_no_thread(path: Path) -> bool:
+    """Whether a document is that of a scene whose mask is empty."""
+    mask = path.with_name(f"{path.stem}_mask_left.png")
+    return mask.is_file() and not np.any(cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE))
 
 
 def _varied(images: Pair, rng: np.random.Generator) -> Pair:
@@ -124,14 +108,3 @@ def _exposed(images: Pair, sensor: Sensor, rng: np.random.Generator) -> Pair:
     shape = images[0].shape[0], images[0].shape[1]
     left, right = (expose(image, sensor, grain(shape, int(rng.integers(1 << 30)))) for image in images)
     return left, right
-
-
-def calibration() -> StereoCalibration:
-    """Of the rendered images."""
-    T_right_left = np.eye(4)
-    T_right_left[0, 3] = -CAMERA.baseline
-    none = np.zeros(0)
-    K = camera_matrix(CAMERA)
-    return StereoCalibration(
-        CAMERA.image_width, CAMERA.image_height, K, K, none, none, T_right_left, CAMERA.metres_per_unit
-    )

@@ -1,1 +1,1 @@
-"""Simulated trials of grasps, as the paper did: what is tried, how a trial goes, what it all comes to."""
+"""The paper's experiment, and pulls, simulated in one process: what is tried, how a trial goes, what it comes to."""

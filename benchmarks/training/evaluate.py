@@ -5,7 +5,6 @@
 Thread counts within 2 px; needle and instrument by what answer and truth have in common, of what is either.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import tyro
 from jaxtyping import Int64, UInt8
 
 from agents.perception.segmentation.classes import WEIGHTS, Kind, highest, scores_of
@@ -86,19 +86,27 @@ def _share(shares: np.ndarray, either: np.ndarray, kind: Kind) -> str:
     return f"{shares[kind]:.2%}" if either[kind] else "none there"
 
 
+@dataclass(frozen=True)
+class Options:
+    """What is judged, and by which weights."""
+
+    scenes: tuple[Path, ...]
+    """Folders of labelled views."""
+    weights: Path = WEIGHTS
+    """ONNX in place of the project's own."""
+    each: bool = False
+    """A line for each view as well."""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and print the figures; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.evaluate", description=__doc__)
-    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of labelled views")
-    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="ONNX in place of the project's own")
-    parser.add_argument("--each", action="store_true", help="a line for each view as well")
-    chosen = parser.parse_args(arguments)
+    options = tyro.cli(Options, args=arguments, description=__doc__)
     found: list[ClassFigures] = []
-    for view in views_in(chosen.scenes, classes=True):
-        found.append(class_figures(true_classes(view), highest(scores_of(view.image, chosen.weights))))
-        if chosen.each:
+    for view in views_in(options.scenes, classes=True):
+        found.append(class_figures(true_classes(view), highest(scores_of(view.image, options.weights))))
+        if options.each:
             sys.stdout.write(class_line(view.name, found[-1:]))
-    sys.stdout.write(class_line(f"{chosen.weights.name}, {len(found)} views", found))
+    sys.stdout.write(class_line(f"{options.weights.name}, {len(found)} views", found))
     return 0
 
 

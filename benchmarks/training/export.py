@@ -6,15 +6,17 @@ either has learned (Wortsman et al., Robust fine-tuning of zero-shot models, CVP
 # pyright: reportMissingImports=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
-import argparse
 import io
 import sys
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import onnx
 import torch
+import tyro
 from onnx import TensorProto, helper, numpy_helper
 
 from benchmarks.training.architecture import COLOURS, PHASES, ClassNet, network_of
@@ -105,18 +107,25 @@ def _halve(graph: onnx.GraphProto) -> None:
     graph.node.extend([*widened, *nodes])
 
 
+@dataclass(frozen=True)
+class Options:
+    """From which weights to which file."""
+
+    weights: Annotated[Path, tyro.conf.Positional]
+    output: Annotated[Path, tyro.conf.Positional]
+    began: Path | None = None
+    """Weights that the training went on from."""
+    share: float = 0.75
+    """Of the way from those to WEIGHTS."""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and export; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.export", description=__doc__)
-    parser.add_argument("weights", type=Path)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("--began", type=Path, default=None, help="weights that the training went on from")
-    parser.add_argument("--share", type=float, default=0.75, help="of the way from those to WEIGHTS")
-    chosen = parser.parse_args(arguments)
-    if chosen.began is None:
-        export(chosen.weights, chosen.output)
+    options = tyro.cli(Options, args=arguments, description=__doc__)
+    if options.began is None:
+        export(options.weights, options.output)
     else:
-        export_network(between(chosen.began, chosen.weights, chosen.share), chosen.output)
+        export_network(between(options.began, options.weights, options.share), options.output)
     return 0
 
 

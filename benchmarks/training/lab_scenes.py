@@ -4,19 +4,19 @@ Each seed makes one scene of one eye: NAME_left.png, and how much of each pixel 
 to 255, in NAME_mask_left.png, NAME_needle_left.png and NAME_instrument_left.png. Scenes that are there are left alone.
 """
 
-import argparse
 import dataclasses
 import sys
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
+import tyro
 from jaxtyping import UInt8
 
 from benchmarks.training.lab_ground import (
     FONTS,
     GROUND,
-    GROUNDS,
     INSTRUMENT,
     SEALED,
     TRAIN,
@@ -238,32 +238,32 @@ def write_scenes(folder: Path, seeds: range, meshes: dict[str, Solid], lists: Li
 
 
 @dataclasses.dataclass(frozen=True)
-class _Chosen:
-    count: int
-    seed: int
+class Options:
+    """Which scenes."""
+
     output: Path
-    meshes: Path
-    lists: str
-    ground: str | None
+    """Folder to write into."""
+    count: int = 100
+    seed: int = 1
+    """Of the first scene; the others follow."""
+    meshes: Path = Path("../shared/data/instruments")
+    """Folder of the *.dae."""
+    lists: Literal["train", "sealed"] = "train"
+    """Of colours, lights and poses."""
+    ground: Literal["pad", "phantom", "flesh", "cloth", "dark"] | None = None
+    """What everything lies on; drawn by default."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and write the scenes; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.lab_scenes", description=__doc__)
-    parser.add_argument("--count", type=int, default=100, help="of scenes")
-    parser.add_argument("--seed", type=int, default=1, help="of the first scene; the others follow")
-    parser.add_argument("--output", type=Path, required=True, help="folder to write into")
-    parser.add_argument("--meshes", type=Path, default=Path("../shared/data/instruments"), help="folder of the *.dae")
-    parser.add_argument("--lists", choices=sorted(LISTS), default="train", help="of colours, lights and poses")
-    parser.add_argument("--ground", choices=GROUNDS, default=None, help="what everything lies on; drawn by default")
-    chosen = _Chosen(**vars(parser.parse_args(arguments)))
+    options = tyro.cli(Options, args=arguments, description=__doc__)
     try:
-        meshes = load_meshes(chosen.meshes)
+        meshes = load_meshes(options.meshes)
     except SceneError as error:
         print(error, file=sys.stderr)
         return 2
-    seeds = range(chosen.seed, chosen.seed + chosen.count)
-    write_scenes(chosen.output, seeds, meshes, LISTS[chosen.lists], chosen.ground)
+    seeds = range(options.seed, options.seed + options.count)
+    write_scenes(options.output, seeds, meshes, LISTS[options.lists], options.ground)
     return 0
 
 

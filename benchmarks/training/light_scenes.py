@@ -4,20 +4,19 @@ One backdrop carries several scenes, each with no, one or two threads of colours
 Files are named as those of path-traced scenes: NAME_left.png, NAME_mask_left.png, and the right ones.
 """
 
-import argparse
 import dataclasses
 import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
+import tyro
 from jaxtyping import Float32, UInt8
 
 from schemas.messages import RectifiedStereo
-from shared.rendering.__main__ import ENDOSCOPE
 from shared.rendering.centreline import Thread, sample_centreline, shifted_to_right
 from shared.rendering.compositing import cast_shadow, lay_over, shade_tube
-from shared.rendering.render import COLOURS, Backdrop, render_backdrop
+from shared.rendering.render import COLOURS, ENDOSCOPE, Backdrop, render_backdrop
 from shared.rendering.sensor import Sensor, expose, grain
 from shared.rendering.thread_shapes import CONFIGS, ShapeError, thread_on
 from shared.rendering.tissue import GAMMA, vignette
@@ -118,20 +117,21 @@ def _write(path: Path, image: np.ndarray) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Chosen:
-    count: int
-    seed: int
+class Options:
+    """Which scenes."""
+
     output: Path
+    """Folder to write into."""
+    count: int = 120
+    """Of backdrops, each with three scenes."""
+    seed: int = 1
+    """Of the first backdrop; the others follow."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and write the scenes; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.light_scenes", description=__doc__)
-    parser.add_argument("--count", type=int, default=120, help="of backdrops, each with three scenes")
-    parser.add_argument("--seed", type=int, default=1, help="of the first backdrop; the others follow")
-    parser.add_argument("--output", type=Path, required=True, help="folder to write into")
-    chosen = _Chosen(**vars(parser.parse_args(arguments)))
-    write_scenes(chosen.output, chosen.seed, chosen.count)
+    options = tyro.cli(Options, args=arguments, description=__doc__)
+    write_scenes(options.output, options.seed, options.count)
     return 0
 
 

@@ -6,13 +6,14 @@ regression. What it finds is printed, and then, of scenes that it was not fitted
 thread: a fit that is calibrated has as many as it says.
 """
 
-import argparse
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+import tyro
 from jaxtyping import Bool, Float64, Int64, UInt8
 from scipy.optimize import minimize
 
@@ -36,13 +37,21 @@ RIDGE = 0.05
 BINS = 0, 0.1, 0.3, 0.5, 0.7, 0.9, 1
 
 
+@dataclass(frozen=True)
+class Options:
+    """What is fitted, and judged."""
+
+    scenes: tuple[Path, ...]
+    """Folders of scenes to fit to."""
+    judged: tuple[Path, ...] = ()
+    """Folders of other scenes."""
+    seed: int = 5
+    """Of the worse cameras."""
+
+
 def main() -> None:
     """Fit and judge."""
-    parser = argparse.ArgumentParser(description="Fit what speaks for a line of a score being thread.")
-    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of scenes to fit to")
-    parser.add_argument("--judged", type=Path, nargs="*", default=[], help="folders of other scenes")
-    parser.add_argument("--seed", type=int, default=5, help="of the worse cameras")
-    options = parser.parse_args()
+    options = tyro.cli(Options, description=__doc__)
     for name, parts_of, weights in (("ends", _ends, line_ends.WEIGHTS), ("lines", _lines, network.WEIGHTS)):
         shown, is_thread, length = _parts(options.scenes, np.random.default_rng(options.seed), parts_of)
         fitted = _fitted(shown, is_thread, np.minimum(length, WHOLE_PX) / WHOLE_PX)
@@ -81,7 +90,7 @@ def _ends(score: ThreadScore) -> Parts:
     return ends.evidence, ends.pixel, ends.end
 
 
-def _parts(folders: list[Path], rng: np.random.Generator, parts_of: Callable[[ThreadScore], Parts]) -> Judged:
+def _parts(folders: Sequence[Path], rng: np.random.Generator, parts_of: Callable[[ThreadScore], Parts]) -> Judged:
     """The parts of all views in these folders."""
     shown, is_thread, length = zip(*_of_views(views_in(folders), rng, parts_of), strict=True)
     return np.concatenate(shown), np.concatenate(is_thread), np.concatenate(length)

@@ -5,7 +5,6 @@ Prints, for views that are held out, how far the middle between the edges and th
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
-import argparse
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import tyro
 from jaxtyping import Float16
 
 from agents.perception.centrelines.learned import LOG_SCALE, weights_in
@@ -32,48 +32,51 @@ APART_WEIGHT = 5.0
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """What the command line says.
+class Options:
+    """From what is learned, and how."""
 
-    Fields:
-        steepest: the greatest step size.
-        apart: the weight of differences between eyes.
-        start: weights to learn on from.
-    """
-
-    scenes: list[Path]
+    scenes: tuple[Path, ...]
+    """Folders of rendered scenes."""
     output: Path
-    steps: int
-    seed: int
-    steepest: float
-    states: int
-    apart: float
-    device: str
-    workers: int
-    start: Path | None
+    """Where the weights go, as NumPy keeps them."""
+    steps: int = 24_000
+    """Of 64 stretches each."""
+    seed: int = 1
+    steepest: float = 4e-3
+    """The greatest step size."""
+    states: int = STATES
+    """Of each layer."""
+    apart: float = APART_WEIGHT
+    """How much differences between eyes count."""
+    device: str = "cpu"
+    """Of PyTorch's: cpu, cuda."""
+    workers: int = 0
+    """Processes that make batches, besides the one that trains."""
+    start: Path | None = None
+    """Weights to learn on from, whose states count then."""
 
 
-def train(views: list[MiddleView], held_out: list[MiddleView], chosen: Chosen) -> MiddleNet:
+def train(views: list[MiddleView], held_out: list[MiddleView], options: Options) -> MiddleNet:
     """The network after so many steps; weights are a moving average."""
-    torch.manual_seed(chosen.seed)
+    torch.manual_seed(options.seed)
     torch.set_num_threads(1)
-    network = MiddleNet(chosen.states) if chosen.start is None else started_from(weights_in(chosen.start))
-    network = network.to(chosen.device)
+    network = MiddleNet(options.states) if options.start is None else started_from(weights_in(options.start))
+    network = network.to(options.device)
     kept = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(MOVING_AVERAGE)
     )
-    optimiser = torch.optim.AdamW(network.parameters(), chosen.steepest, weight_decay=WEIGHT_DECAY)
-    for step, batch in zip(range(chosen.steps), prepared(views, chosen.seed, chosen.workers), strict=False):
+    optimiser = torch.optim.AdamW(network.parameters(), options.steepest, weight_decay=WEIGHT_DECAY)
+    for step, batch in zip(range(options.steps), prepared(views, options.seed, options.workers), strict=False):
         for group in optimiser.param_groups:
-            group["lr"] = chosen.steepest * step_share(step / chosen.steps)
-        loss = _loss(network, *(part.to(chosen.device) for part in batch), apart_weight=chosen.apart)
+            group["lr"] = options.steepest * step_share(step / options.steps)
+        loss = _loss(network, *(part.to(options.device) for part in batch), apart_weight=options.apart)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
         optimiser.step()
         kept.update_parameters(network)
-        if (step + 1) % STEPS_BETWEEN_REPORTS == 0 or step + 1 == chosen.steps:
-            np.savez(chosen.output, allow_pickle=False, **_short(kept.module))
+        if (step + 1) % STEPS_BETWEEN_REPORTS == 0 or step + 1 == options.steps:
+            np.savez(options.output, allow_pickle=False, **_short(kept.module))
             sys.stdout.write(line_of(f"{step + 1} steps", held_out, weights_of(kept.module)))
             sys.stdout.flush()
     return kept.module
@@ -139,22 +142,9 @@ def _short(network: MiddleNet) -> dict[str, Float16[np.ndarray, "..."]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, write the weights; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.middle", description=__doc__)
-    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered scenes")
-    parser.add_argument("--output", type=Path, required=True, help="where the weights go, as NumPy keeps them")
-    parser.add_argument("--steps", type=int, default=24_000, help="of 64 stretches each")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--steepest", type=float, default=4e-3, help="the greatest step size")
-    parser.add_argument("--states", type=int, default=STATES, help="of each layer")
-    parser.add_argument("--apart", type=float, default=APART_WEIGHT, help="how much differences between eyes count")
-    parser.add_argument("--device", default="cpu", help="of PyTorch's: cpu, cuda")
-    parser.add_argument(
-        "--workers", type=int, default=0, help="processes that make batches, besides the one that trains"
-    )
-    parser.add_argument("--start", type=Path, default=None, help="weights to learn on from, whose states count then")
-    chosen = Chosen(**vars(parser.parse_args(arguments)))
-    views, held_out = (middle_views(chosen.scenes, held_out=held) for held in (False, True))
-    train(views, held_out, chosen)
+    options = tyro.cli(Options, args=arguments, description=__doc__)
+    views, held_out = (middle_views(options.scenes, held_out=held) for held in (False, True))
+    train(views, held_out, options)
     return 0
 
 

@@ -8,7 +8,6 @@ errors' rms before and after. docs/model_card.md says what the project's own wei
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import tyro
 from jaxtyping import Float16, Float64
 from torch import nn
 
@@ -170,31 +170,39 @@ def weights_of(network: ApartNet) -> dict[str, Float16[np.ndarray, "..."]]:
     return {name: value.detach().numpy().astype(np.float16) for name, value in weights.items()}
 
 
+@dataclass(frozen=True)
+class Options:
+    """From what is learned, and for how long."""
+
+    scenes: tuple[Path, ...]
+    """Folders of rendered pairs to learn from."""
+    held_out: tuple[Path, ...]
+    """Folders that are only looked at."""
+    output: Path
+    """Where the weights go, as NumPy keeps them."""
+    steps: int = 8000
+    seed: int = 1
+    networks: int = 2
+    """Whose mean is used at run time; seeds follow each other."""
+    pairs: int | None = None
+    """Learn from so many alone, drawn by the seed."""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, print, write the weights; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.middle_apart", description=__doc__)
-    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered pairs to learn from")
-    parser.add_argument("--held-out", type=Path, nargs="+", required=True, help="folders that are only looked at")
-    parser.add_argument("--output", type=Path, required=True, help="where the weights go, as NumPy keeps them")
-    parser.add_argument("--steps", type=int, default=8000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument(
-        "--networks", type=int, default=2, help="whose mean is used at run time; seeds follow each other"
-    )
-    parser.add_argument("--pairs", type=int, default=None, help="learn from so many alone, drawn by the seed")
-    chosen = parser.parse_args(arguments)
-    pairs = pair_profiles(chosen.scenes)
-    if chosen.pairs is not None:
-        drawn = np.random.default_rng(chosen.seed).permutation(len(pairs))[: chosen.pairs]
+    options = tyro.cli(Options, args=arguments, description=__doc__)
+    pairs = pair_profiles(options.scenes)
+    if options.pairs is not None:
+        drawn = np.random.default_rng(options.seed).permutation(len(pairs))[: options.pairs]
         pairs = [pairs[index] for index in drawn]
     sys.stdout.write(f"{len(pairs)} pairs to learn from\n")
-    held_out = {str(folder): pair_profiles([folder]) for folder in chosen.held_out}
-    networks = [train(pairs, held_out, chosen.steps, chosen.seed + k) for k in range(chosen.networks)]
+    held_out = {str(folder): pair_profiles([folder]) for folder in options.held_out}
+    networks = [train(pairs, held_out, options.steps, options.seed + k) for k in range(options.networks)]
     for name, others in held_out.items():
         sys.stdout.write(f"all together, {_said_of(name, others, networks)}\n")
     weights = [weights_of(network) for network in networks]
     stacked = {name: np.stack([some[name] for some in weights]) for name in weights[0]}
-    np.savez(chosen.output, allow_pickle=False, **stacked)
+    np.savez(options.output, allow_pickle=False, **stacked)
     return 0
 
 

@@ -3,13 +3,13 @@
 python -m benchmarks.training.middle_evaluate --scenes DIR [--weights OTHER.npz] [--all] [--each]
 """
 
-import argparse
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import tyro
 from jaxtyping import Float64, Int64
 from scipy.spatial import cKDTree
 
@@ -127,19 +127,28 @@ def _shared(error: Float64[np.ndarray, "n"]) -> float:
     return float(np.sqrt(np.mean(mean**2)))
 
 
+@dataclass(frozen=True)
+class Options:
+    """What is judged, and by which weights."""
+
+    scenes: tuple[Path, ...]
+    """Folders of rendered scenes."""
+    weights: Path | None = None
+    """In place of the project's own."""
+    all: bool = False
+    """All views, where none of the folders was learned from."""
+    each: bool = False
+    """A line for each view as well."""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and print the figures; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.middle_evaluate", description=__doc__)
-    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered scenes")
-    parser.add_argument("--weights", type=Path, default=None, help="in place of the project's own")
-    parser.add_argument("--all", action="store_true", help="all views, where none of the folders was learned from")
-    parser.add_argument("--each", action="store_true", help="a line for each view as well")
-    chosen = parser.parse_args(arguments)
-    weights = own_weights() if chosen.weights is None else weights_in(chosen.weights)
-    views = middle_views(chosen.scenes, held_out=True)
-    if chosen.all:
-        views += middle_views(chosen.scenes, held_out=False, scaled=False)
-    for view in views if chosen.each else []:
+    options = tyro.cli(Options, args=arguments, description=__doc__)
+    weights = own_weights() if options.weights is None else weights_in(options.weights)
+    views = middle_views(options.scenes, held_out=True)
+    if options.all:
+        views += middle_views(options.scenes, held_out=False, scaled=False)
+    for view in views if options.each else []:
         sys.stdout.write(line_of(view.name, [view], weights))
     sys.stdout.write(line_of("all", views, weights))
     return 0

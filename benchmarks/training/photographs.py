@@ -4,12 +4,13 @@ What is black on a pad of the colour of skin, and long, is thread: ink on these 
 show less pad than surroundings are left out, since rulers lie there.
 """
 
-import argparse
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+import tyro
 from jaxtyping import UInt8
 
 from benchmarks.training.lab_ground import save
@@ -64,23 +65,30 @@ def _pad(colour: np.ndarray) -> UInt8[np.ndarray, "h w"]:
     return np.asarray(inner[1:-1, 1:-1], np.uint8)
 
 
+@dataclass(frozen=True)
+class Options:
+    """From where to where."""
+
+    output: Path
+    """Folder to write into."""
+    photographs: Path = Path("../shared/data/suture_pads")
+    """Folder of *.jpg."""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and write NAME_left.png and NAME_mask_left.png of each; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.photographs", description=__doc__)
-    parser.add_argument("--photographs", type=Path, default=Path("../shared/data/suture_pads"), help="folder of *.jpg")
-    parser.add_argument("--output", type=Path, required=True, help="folder to write into")
-    chosen = parser.parse_args(arguments)
-    paths = sorted(chosen.photographs.glob("*.jpg"))
+    options = tyro.cli(Options, args=arguments, description=__doc__)
+    paths = sorted(options.photographs.glob("*.jpg"))
     if not paths:
-        print(f"{chosen.photographs} holds no *.jpg", file=sys.stderr)
+        print(f"{options.photographs} holds no *.jpg", file=sys.stderr)
         return 2
-    chosen.output.mkdir(parents=True, exist_ok=True)
+    options.output.mkdir(parents=True, exist_ok=True)
     for path in paths:
         photograph = np.asarray(cv2.imread(str(path), cv2.IMREAD_COLOR), np.uint8)
         cover = stitches(photograph)
         if cover is not None:
-            save(chosen.output / f"{path.stem}_left.png", photograph)
-            save(chosen.output / f"{path.stem}_mask_left.png", cover)
+            save(options.output / f"{path.stem}_left.png", photograph)
+            save(options.output / f"{path.stem}_mask_left.png", cover)
     return 0
 
 

@@ -5,7 +5,6 @@ It begins with the encoder's weights (--encoder) or goes on from those of an ear
 # pyright: reportMissingImports=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
-import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+import tyro
 
 from benchmarks.training.architecture import ClassNet, WeightsError, network_of, unfolded
 from benchmarks.training.crops import Pixels, batches_of, pixels_of
@@ -35,59 +35,65 @@ MOVING_AVERAGE = 0.997
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """What the command line says.
+class Options:
+    """From what is learned, and how."""
 
-    Fields:
-        minutes: after which training ends, whatever steps are left; the step size follows whichever is further.
-        steepest: the greatest step size.
-        start: a checkpoint or an exported network to go on from; new weights, if it is None.
-        encoder: weights of EfficientNet-Lite0 for new weights.
-    """
-
-    scenes: list[Path]
+    scenes: tuple[Path, ...]
+    """Folders of rendered scenes, each drawn from alike, and twice where named twice."""
     output: Path
+    """Where the weights go, as PyTorch keeps them."""
     steps: int = 4000
+    """Of one batch each."""
     minutes: float = 1e9
+    """After which training ends in any case; the step size follows whichever is further."""
     seed: int = 1
     steepest: float = 3e-3
+    """The greatest step size."""
     start: Path | None = None
-    batch: int = 8
+    """Weights to go on from, .pt or .onnx."""
     encoder: Path | None = None
+    """Weights of EfficientNet-Lite0, .pth, to begin with."""
+    batch: int = 8
+    """Crops of one step."""
     red_share: float = 0.5
-    device: str = "cpu"
-    threads: int = 1
-    half: bool = True
+    """Of the colours in which thread is dyed anew."""
     mistaken_by: Path | None = None
+    """ONNX of a network whose mistakes are learned from more often."""
+    device: str = "cpu"
+    """As PyTorch names it, such as cuda; none is needed."""
+    threads: int = 1
+    """Of the processor; one of several makes crops ahead."""
+    float32: bool = False
+    """Convolutions take 32-bit floats, not 16-bit ones."""
 
 
-def train(folders: list[list[View]], chosen: Chosen) -> ClassNet:
+def train(folders: list[list[View]], options: Options) -> ClassNet:
     """The network after so many steps or minutes on varied crops of the views in folders; checkpoints on the way."""
-    return train_on(pixels_of(folders, torch.device(chosen.device), chosen.seed), chosen)
+    return train_on(pixels_of(folders, torch.device(options.device), options.seed), options)
 
 
-def train_on(views: Pixels, chosen: Chosen) -> ClassNet:
+def train_on(views: Pixels, options: Options) -> ClassNet:
     """As `train`, on views whose pixels lie on the device already."""
-    torch.manual_seed(chosen.seed)
-    torch.set_num_threads(max(1, chosen.threads - 1))
-    device = torch.device(chosen.device)
+    torch.manual_seed(options.seed)
+    torch.set_num_threads(max(1, options.threads - 1))
+    device = torch.device(options.device)
     losses = list[torch.Tensor]()
-    drawn = batches_of(views, chosen.batch, chosen.seed, chosen.red_share)
-    network = _first_weights(chosen, drawn).to(device, memory_format=torch.channels_last).train()
-    if chosen.threads > 1:
+    drawn = batches_of(views, options.batch, options.seed, options.red_share)
+    network = _first_weights(options, drawn).to(device, memory_format=torch.channels_last).train()
+    if options.threads > 1:
         drawn = made_ahead(drawn)
     kept = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(MOVING_AVERAGE), use_buffers=True
     )
-    optimiser = torch.optim.AdamW(_groups(network), lr=chosen.steepest, weight_decay=WEIGHT_DECAY)
+    optimiser = torch.optim.AdamW(_groups(network), lr=options.steepest, weight_decay=WEIGHT_DECAY)
     began, step = monotonic_s(), 0
     for step, (pixels, truth) in enumerate(drawn):
-        done = max(step / chosen.steps, (monotonic_s() - began) / 60 / chosen.minutes)
+        done = max(step / options.steps, (monotonic_s() - began) / 60 / options.minutes)
         if done >= 1:
             break
         for group in optimiser.param_groups:
-            group["lr"] = chosen.steepest * group["share"] * step_share(done)
-        with torch.autocast(device.type, torch.bfloat16, enabled=chosen.half):
+            group["lr"] = options.steepest * group["share"] * step_share(done)
+        with torch.autocast(device.type, torch.bfloat16, enabled=not options.float32):
             logit = network(pixels.contiguous(memory_format=torch.channels_last))
         loss = class_loss(logit.float(), truth)
         optimiser.zero_grad()
@@ -100,30 +106,30 @@ def train_on(views: Pixels, chosen: Chosen) -> ClassNet:
             _report(step + 1, done, losses, began)
             losses.clear()
         if (step + 1) % (STEPS_BETWEEN_REPORTS * REPORTS_BETWEEN_CHECKPOINTS) == 0:
-            torch.save(kept.module.state_dict(), chosen.output)
+            torch.save(kept.module.state_dict(), options.output)
     if losses:
         _report(step, 1.0, losses, began)
     trained = kept.module.to("cpu")
-    torch.save(trained.state_dict(), chosen.output)
+    torch.save(trained.state_dict(), options.output)
     return trained
 
 
-def _first_weights(chosen: Chosen, drawn: Iterator[tuple[torch.Tensor, torch.Tensor]]) -> ClassNet:
+def _first_weights(options: Options, drawn: Iterator[tuple[torch.Tensor, torch.Tensor]]) -> ClassNet:
     """Those to go on from, or new ones about an encoder's.
 
     Raises:
         WeightsError: where a file holds others, or none is given.
     """
-    if chosen.start is not None and chosen.start.suffix == ".onnx":
+    if options.start is not None and options.start.suffix == ".onnx":
         network, (pixels, _) = ClassNet(), next(drawn)
-        unfolded(network, convolutions(chosen.start), pixels.to("cpu"))
+        unfolded(network, convolutions(options.start), pixels.to("cpu"))
         return network
-    if chosen.start is not None:
-        return network_of(torch.load(chosen.start, weights_only=True, map_location="cpu"))
-    if chosen.encoder is None:
+    if options.start is not None:
+        return network_of(torch.load(options.start, weights_only=True, map_location="cpu"))
+    if options.encoder is None:
         raise WeightsError("name the weights of EfficientNet-Lite0 by --encoder, or those to go on from by --start")
     network = ClassNet()
-    network.encoder.load(chosen.encoder)
+    network.encoder.load(options.encoder)
     return network
 
 
@@ -142,11 +148,11 @@ def _report(steps: int, done: float, losses: list[torch.Tensor], began: float) -
     sys.stdout.flush()
 
 
-def _pixels_in(chosen: Chosen) -> Pixels:
+def _pixels_in(options: Options) -> Pixels:
     """The views of all folders, which nothing else holds once they lie on the device."""
-    views = {folder: views_in([folder], classes=True) for folder in chosen.scenes}
-    every = [views[folder] for folder in chosen.scenes]
-    return pixels_of(every, torch.device(chosen.device), chosen.seed, chosen.mistaken_by)
+    views = {folder: views_in([folder], classes=True) for folder in options.scenes}
+    every = [views[folder] for folder in options.scenes]
+    return pixels_of(every, torch.device(options.device), options.seed, options.mistaken_by)
 
 
 def step_share(done: float) -> float:
@@ -158,37 +164,13 @@ def step_share(done: float) -> float:
 
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, keep the weights, also as ONNX; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training.train", description=__doc__)
-    parser.add_argument(
-        "--scenes",
-        type=Path,
-        nargs="+",
-        required=True,
-        help="folders of rendered scenes, each drawn from alike, and twice where named twice",
-    )
-    parser.add_argument("--output", type=Path, required=True, help="where the weights go, as PyTorch keeps them")
-    parser.add_argument("--steps", type=int, default=4000, help="of one batch each")
-    parser.add_argument("--minutes", type=float, default=1e9, help="after which training ends in any case")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--steepest", type=float, default=3e-3, help="the greatest step size")
-    parser.add_argument("--start", type=Path, default=None, help="weights to go on from, .pt or .onnx")
-    parser.add_argument("--encoder", type=Path, default=None, help="weights of EfficientNet-Lite0, .pth, to begin with")
-    parser.add_argument("--batch", type=int, default=8, help="crops of one step")
-    parser.add_argument("--red-share", type=float, default=0.5, help="of the colours in which thread is dyed anew")
-    parser.add_argument(
-        "--mistaken-by", type=Path, default=None, help="ONNX of a network whose mistakes are learned from more often"
-    )
-    parser.add_argument("--device", default="cpu", help="as PyTorch names it, such as cuda; none is needed")
-    parser.add_argument("--threads", type=int, default=1, help="of the processor; one of several makes crops ahead")
-    parser.add_argument(
-        "--float32", dest="half", action="store_false", help="convolutions take 32-bit floats, not 16-bit ones"
-    )
-    chosen = Chosen(**vars(parser.parse_args(arguments)))
+    options = tyro.cli(Options, args=arguments, description=__doc__)
     try:
-        train_on(_pixels_in(chosen), chosen)
+        train_on(_pixels_in(options), options)
     except (SceneFolderError, WeightsError) as error:
-        parser.error(str(error))
-    export(chosen.output, chosen.output.with_suffix(".onnx"))
+        print(error, file=sys.stderr)
+        raise SystemExit(2) from None
+    export(options.output, options.output.with_suffix(".onnx"))
     return 0
 
 

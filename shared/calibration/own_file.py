@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.messages import StereoCalibration
-from shared.calibration.estimation.checking import rectifying
+from shared.calibration.estimation.projection import rectifying
 from shared.calibration.made import MADE, made_text
 from shared.calibration.stated import CalibrationError
 from shared.units import METRES_PER_UNIT, unit_name

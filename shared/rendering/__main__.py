@@ -4,35 +4,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from schemas.messages import RectifiedStereo
 from shared.rendering.files import write_pair
-from shared.rendering.render import BACKGROUNDS, COLOURS, Scene, SceneError, render, surface_of
-from shared.rendering.thread_shapes import CONFIGS, ShapeError, thread_on
-
-ENDOSCOPE = RectifiedStereo(
-    image_width=960,
-    image_height=540,
-    fx_px=1000.0,
-    fy_px=1000.0,
-    cx_px=479.5,
-    cy_px=269.5,
-    baseline=5.5,
-    metres_per_unit=1e-3,
-)
-
-
-def make_scene(
-    config: str,
-    background: str,
-    seed: int,
-    colour: str = "violet",
-    distance_mm: float = 95.0,
-    camera: RectifiedStereo = ENDOSCOPE,
-) -> Scene:
-    """A scene of a configuration: a thread that the seed draws, on the surface that the same seed makes."""
-    surface = surface_of(camera, background, distance_mm, seed)
-    thread = thread_on(camera, surface, config, seed)
-    return Scene(camera, thread, colour, background, distance_mm, seed)
+from shared.rendering.render import BACKGROUNDS, COLOURS, SceneError, make_scene, render
+from shared.rendering.thread_shapes import CONFIGS, ShapeError
 
 
 def main(arguments: list[str] | None = None) -> int:

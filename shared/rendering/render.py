@@ -12,9 +12,21 @@ from shared.rendering.compositing import cast_shadow, lay_over, shade_tube
 from shared.rendering.rendered_fields import rendered_backdrop, rendered_surface
 from shared.rendering.sensor import Sensor, expose, grain
 from shared.rendering.surface import Surface, flat_surface, tissue_surface
+from shared.rendering.thread_shapes import thread_on
 from shared.rendering.tissue import GAMMA, PLAIN_GREY, tissue_texture, tissue_view, vignette
 from shared.rendering.tube import TubePixels, coverage_image, tube_pixels
 
+ENDOSCOPE = RectifiedStereo(
+    image_width=960,
+    image_height=540,
+    fx_px=1000.0,
+    fy_px=1000.0,
+    cx_px=479.5,
+    cy_px=269.5,
+    baseline=5.5,
+    metres_per_unit=1e-3,
+)
+"""The camera of the published renders."""
 COLOURS = {
     "violet": (92.0, 50.0, 98.0),
     "black": (36.0, 36.0, 42.0),
@@ -80,6 +92,20 @@ def surface_of(camera: RectifiedStereo, background: str, distance_mm: float, see
     if background == RENDERED:
         return rendered_surface(distance_mm, seed)
     return tissue_surface(camera, distance_mm, seed)
+
+
+def make_scene(
+    config: str,
+    background: str,
+    seed: int,
+    colour: str = "violet",
+    distance_mm: float = 95.0,
+    camera: RectifiedStereo = ENDOSCOPE,
+) -> Scene:
+    """A scene of a configuration: a thread that the seed draws, on the surface that the same seed makes."""
+    surface = surface_of(camera, background, distance_mm, seed)
+    thread = thread_on(camera, surface, config, seed)
+    return Scene(camera, thread, colour, background, distance_mm, seed)
 
 
 def render_backdrop(camera: RectifiedStereo, background: str, distance_mm: float, seed: int) -> Backdrop:

@@ -5,7 +5,7 @@ included, scaled about the left eye by k: the left image stays as it is, and the
 k B₀, looks the same point of the surface up in the stored right image, (B − k B₀) / z further right in slope.
 """
 
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,68 +22,52 @@ WIDER = 1.01
 
 
 def rendered_backdrop(camera: RectifiedStereo, distance_mm: float, seed: int) -> Backdrop:
-    """One of the fields, which the seed chooses, as both eyes of a camera see it from a distance.
+    """One of the fields, which the seed chooses, as both eyes of a camera see it from so far in the left one's middle.
 
     Raises:
         SceneError: where the camera sees further aside than the fields go.
     """
-    return seen_by(camera, _field(seed), distance_mm)
-
-
-def rendered_surface(distance_mm: float, seed: int) -> Surface:
-    """The surface of that field at that distance."""
-    field = _field(seed)
-    return _scaled(field, _scale(field, distance_mm)).surface
-
-
-def seen_by(camera: RectifiedStereo, field: StoredField, distance_mm: float) -> Backdrop:
-    """A field through another camera, so far away in the middle of the left image.
-
-    Raises:
-        SceneError: where the camera sees further aside than the field goes.
-    """
-    k = _scale(field, distance_mm)
-    scaled = _scaled(field, k)
+    field, k = _scaled(_field(seed), distance_mm)
     p, q = ray_tangents(camera)
     if np.abs(p).max() > WIDER * _aside(field.camera) or np.abs(q).max() > WIDER * _down(field.camera):
         raise SceneError(
             f"a camera of {camera.image_width}x{camera.image_height} with f = {camera.fx_px:.0f} px sees further than"
             " the rendered fields go; use background tissue, or a longer focal length"
         )
-    depths = [meet_rays(scaled.surface, p, q, eye_x_mm) for eye_x_mm in (0.0, camera.baseline)]
+    depths = [meet_rays(field.surface, p, q, eye_x_mm) for eye_x_mm in (0.0, camera.baseline)]
     further = np.float32(camera.baseline - k * field.camera.baseline) / depths[1]
     return Backdrop(
-        scaled.surface,
+        field.surface,
         _looked_up(field.left_bgr, field.camera, p, q),
         _looked_up(field.right_bgr, field.camera, p + further, q),
         depths[0],
         depths[1],
         shadows=True,
-        lights=scaled.lights,
+        lights=field.lights,
     )
+
+
+def rendered_surface(distance_mm: float, seed: int) -> Surface:
+    """The surface of that field at that distance."""
+    return _scaled(_field(seed), distance_mm)[0].surface
 
 
 def _field(seed: int) -> StoredField:
     folders = sorted(FIELDS.iterdir())
-    return _read(folders[(seed - 1) % len(folders)])
+    return stored_field(folders[(seed - 1) % len(folders)])
 
 
-@lru_cache(maxsize=2)
-def _read(folder: Path) -> StoredField:
-    return stored_field(folder)
+def _scaled(field: StoredField, distance_mm: float) -> tuple[StoredField, float]:
+    """The whole field k times as large and as far from the left eye, so that its middle is so far away, and k.
 
-
-def _scale(field: StoredField, distance_mm: float) -> float:
-    return distance_mm / float(depth_at_points(field.surface, np.zeros((1, 2)))[0])
-
-
-def _scaled(field: StoredField, k: float) -> StoredField:
-    """The whole field, k times as large and as far from the left eye; its images are those of a baseline k times."""
+    Its images are then those of a baseline k times as long.
+    """
     surface = field.surface
+    k = distance_mm / float(depth_at_points(surface, np.zeros((1, 2)))[0])
     depth = (k * surface.depth_mm).astype(np.float32)
     lights = tuple(Light((k * x, k * y, k * z), light.share) for light in field.lights for x, y, z in [light.place_mm])
     grown = Surface(depth, k * surface.x0_mm, k * surface.y0_mm, k * surface.step_mm)
-    return StoredField(field.camera, grown, field.left_bgr, field.right_bgr, lights)
+    return replace(field, surface=grown, lights=lights), k
 
 
 def _looked_up(

@@ -1,5 +1,6 @@
 """Real pictures: the judge knows a right curve from a wrong one, and what is wrong is not called ok."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -39,11 +40,11 @@ def test_flesh_holds_no_thread(name):
 
 @pytest.mark.parametrize(("off_px", "verdict"), [(0.0, "right"), (30.0, "wrong though ok")])
 def test_a_curve_on_the_drawn_thread_is_right_and_one_beside_it_is_wrong(monkeypatch, off_px, verdict):
-    drawn = real_images.json.loads((STEREO / "pad_0.json").read_text())
+    drawn = json.loads((STEREO / "pad_0.json").read_text())
     eyes = tuple(real_images._along(drawn[eye], 1.0) + off_px for eye in ("left", "right"))
     ok = type("Ok", (), {"status": real_images.Status.OK, "reason": ""})
     found = type("Found", (), {"reconstruction": ok})
-    monkeypatch.setattr(real_images, "reconstruct_pair", lambda *_given, **_named: found)
-    monkeypatch.setattr(real_images, "projected", lambda *_given: eyes)
+    monkeypatch.setattr(real_images, "reconstructed", lambda *_given: found)
+    monkeypatch.setattr(real_images, "curve_of", lambda *_given: eyes)
     assert np.ptp(eyes[0], axis=0).min() > 100
     assert pad(STEREO / "pad_0.json", 1280, Options(DATA))["verdict"] == verdict

@@ -15,9 +15,10 @@ from agents.camera.image_files import read_pair, read_side_by_side
 from agents.cli.calibrate.views import Seen
 from schemas.messages import StereoCalibration
 from shared.calibration.estimation.board import Board
-from shared.calibration.estimation.checking import Checked, rectifying
+from shared.calibration.estimation.checking import Checked
 from shared.calibration.estimation.coverage import LEAST_IN_CELL, coverage, lacking
 from shared.calibration.estimation.estimate import Estimate, rms
+from shared.calibration.estimation.projection import rectifying
 from shared.units import unit_name
 
 WIDTH_PX = 760

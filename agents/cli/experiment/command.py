@@ -12,10 +12,10 @@ from agents.cli.experiment.terminal import LeftError, Nobody, Person, outcome_se
 from agents.cli.experiment.trial import ExperimentError, Rig, carried_out
 from agents.cli.whole_file import OutputError, whole_file
 from agents.configuration.rig import RigConfig
+from agents.experiment.journal import THREAD, Journal, Protocol
+from agents.experiment.results import document, results_of
+from agents.experiment.table import page
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.rig_trials.journal import THREAD, Journal, Protocol
-from agents.rig_trials.results import document, results_of
-from agents.rig_trials.table import page
 from shared.runtime.config import ConfigError, parse_config
 from shared.runtime.connection import NoRouterError, connected
 from shared.terminal import complain, say, show

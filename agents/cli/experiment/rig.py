@@ -17,9 +17,9 @@ from agents.configuration.rig import (
     SimulatorSection,
     simulated_rig,
 )
+from agents.experiment.journal import Protocol
 from agents.launch.session_folder import SessionFolder, new_session_folder
 from agents.launch.supervisor import Role, Supervisor, last_line, supervised
-from agents.rig_trials.journal import Protocol
 from shared.runtime.config import ConfigError, parse_config
 from shared.runtime.connection import ROUTER_WAIT_S, Connection, connected
 from shared.runtime.session import SessionSettings, free_local_endpoint

@@ -5,7 +5,7 @@ import select
 import threading
 from typing import Protocol
 
-from agents.rig_trials.journal import CAUSES, Attempt, Cause, Trial
+from agents.experiment.journal import CAUSES, Attempt, Cause, Trial
 from schemas.messages import ExecutionEvent, GraspPlan
 from shared.terminal import say, show
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from agents.cli.experiment.terminal import Attendant, LeftError, Person
 from agents.cli.live.command import POLICIES, plan_sentence
 from agents.cli.live.events import event_sentence
+from agents.experiment.journal import Attempt, Cause, Trial
 from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, events_of
-from agents.rig_trials.journal import Attempt, Cause, Trial
 from agents.robot_bridge.plans import AGAINST_PLAN
 from schemas.checks import MessageError
 from schemas.codec import decode

@@ -10,8 +10,6 @@ from agents.cli.lab.scenes_options import Scenes
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from schemas.messages import RectifiedStereo, Severity
 from shared.calibration import CalibrationError, read_calibration
-from shared.rendering.backdrop_files import write_backdrop
-from shared.rendering.path_traced.backdrop import traced_backdrop
 from shared.rendering.path_traced.batch import LARGEST_OFFSET_PX, Done, Job, make_all, outstanding
 from shared.rendering.path_traced.engine import engine
 from shared.rendering.path_traced.eyes import Rig, calibrated_rig, rectified_rig
@@ -30,8 +28,6 @@ def run(options: Scenes) -> int:
     """Render what is missing; the exit status."""
     try:
         _check(options)
-        if options.action == "backdrop":
-            return _backdrop(options)
         jobs = jobs_of(options)
         missing = outstanding(jobs)
         if missing:
@@ -45,16 +41,6 @@ def run(options: Scenes) -> int:
         if remark := _remark(one):
             warn(remark)
     return EXIT_SOME if any(one.problem for one in made) else EXIT_OK
-
-
-def _backdrop(options: Scenes) -> int:
-    """One field of the first background and the seed."""
-    rig, background = rig_of(options), options.background[0]
-    made = traced_backdrop(background, options.seed, rig, options.samples)
-    write_backdrop(options.output, rig.near_enough, made, {"background": background, "seed": options.seed})
-    size = sum(path.stat().st_size for path in options.output.iterdir()) / 1e6
-    say(f"a field of {background}, seed {options.seed}, in {options.output}: {size:.1f} MB")
-    return EXIT_OK
 
 
 def jobs_of(options: Scenes) -> list[Job]:

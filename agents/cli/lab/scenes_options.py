@@ -21,8 +21,7 @@ class Scenes:
     all are there, 1 some found no place before the camera, 2 not as asked.
     """
 
-    action: Annotated[Literal["render", "backdrop"], tyro.conf.Positional]
-    """Render pairs; or one field without thread, over which the light renderer lays threads."""
+    action: Annotated[Literal["render"], tyro.conf.Positional]
     output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where the pairs go, as NAME_left.png, NAME_right.png, masks, NAME.json and NAME.npy."""
     config: tuple[Config, ...] = ("easy",)

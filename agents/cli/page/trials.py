@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.cli.experiment.command import JOURNAL, write
-from agents.rig_trials.journal import CAUSES, Attempt, Journal, Trial
+from agents.experiment.journal import CAUSES, Attempt, Journal, Trial
 from shared.clock import now_ns
 from shared.runtime.config import ConfigError, parse_config
 

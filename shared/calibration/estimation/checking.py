@@ -17,7 +17,8 @@ from scipy.optimize import least_squares
 from schemas.messages import StereoCalibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.coverage import View
-from shared.calibration.estimation.estimate import FEWEST_VIEWS, estimated, residuals_px, rms
+from shared.calibration.estimation.estimate import FEWEST_VIEWS, estimated, rms
+from shared.calibration.estimation.projection import rectifying, residuals_px, undistorted
 from shared.rigid_transforms import exp_so3, log_so3, transform
 
 FOLDS = 5
@@ -50,8 +51,8 @@ class Checked:
 def checked(view: View, board: Board, calibration: StereoCalibration) -> Checked:
     """A calibration on a view that it was not made from."""
     R_l, R_r, P_l, P_r = rectifying(calibration)
-    left = _moved(view.left, calibration.K_left, calibration.distortion_left, R_l, P_l)
-    right = _moved(view.right, calibration.K_right, calibration.distortion_right, R_r, P_r)
+    left = undistorted(view.left, calibration.K_left, calibration.distortion_left, R_l, P_l)
+    right = undistorted(view.right, calibration.K_right, calibration.distortion_right, R_r, P_r)
     points = _triangulated(left, right, P_l, P_r)
     at = np.full(len(board.points), -1)
     at[view.number] = np.arange(len(view.number))
@@ -93,40 +94,9 @@ def standing(view: View, board: Board, calibration: StereoCalibration) -> Float6
     return transform(exp_so3(pose[:3]), pose[3:])
 
 
-def rectifying(
-    calibration: StereoCalibration,
-) -> tuple[
-    Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3 4"], Float64[np.ndarray, "3 4"]
-]:
-    """Rotations into the rectified frames of both eyes, and the projections there (cv2.stereoRectify)."""
-    found = cv2.stereoRectify(
-        np.array(calibration.K_left),
-        _coefficients(calibration.distortion_left),
-        np.array(calibration.K_right),
-        _coefficients(calibration.distortion_right),
-        (calibration.image_width, calibration.image_height),
-        np.array(calibration.T_right_left[:3, :3]),
-        np.array(calibration.T_right_left[:3, 3:]),
-        alpha=-1,
-    )
-    R_l, R_r, P_l, P_r = (np.asarray(part, np.float64) for part in found[:4])
-    return R_l, R_r, P_l, P_r
-
-
 def rotation_deg(T: Float64[np.ndarray, "4 4"]) -> float:
     """By how much a transform turns."""
     return float(np.degrees(np.linalg.norm(log_so3(T[:3, :3]))))
-
-
-def _moved(
-    px: Float64[np.ndarray, "c 2"], K: np.ndarray, distortion: np.ndarray, R: np.ndarray, P: np.ndarray
-) -> Float64[np.ndarray, "c 2"]:
-    rectified = cv2.undistortPoints(px[:, None], np.array(K), _coefficients(distortion), R=R, P=P)
-    return np.asarray(rectified, np.float64)[:, 0]
-
-
-def _coefficients(distortion: Float64[np.ndarray, "d"]) -> Float64[np.ndarray, "d"]:
-    return np.array(distortion) if len(distortion) else np.zeros(5)
 
 
 def _triangulated(

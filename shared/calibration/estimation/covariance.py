@@ -7,16 +7,15 @@ beyond them lenses are extrapolated: how their rays, rectified, change with each
 the eight errors of a rectified pair.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from jaxtyping import Float64
 
 from schemas.messages import StereoCalibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.coverage import View
+from shared.calibration.estimation.projection import rectifying, residuals_px, seen_by, undistorted
 from shared.calibration.uncertainty import ERRORS
 from shared.rigid_transforms import exp_so3, transform
 
@@ -30,31 +29,26 @@ CORNERS = 400
 """By which the errors are told, of all that the views show."""
 NEGLIGIBLE = 1e-12
 
-Both = tuple[Float64[np.ndarray, "c 2"], Float64[np.ndarray, "c 2"]]
-Residuals = Callable[[StereoCalibration, View, Board, Float64[np.ndarray, "4 4"]], Both]
-
 
 def error_covariance(
     calibration: StereoCalibration,
     views: tuple[View, ...],
     board: Board,
     T_left_board: Float64[np.ndarray, "n 4 4"],
-    residuals: Residuals,
     fixed: tuple[int, ...] = (),
 ) -> Float64[np.ndarray, "8 8"]:
     """Covariance of the eight errors (`uncertainty.ERRORS`) of an estimated calibration.
 
     Args:
-        residuals: of one view in both images, given how its board stands (`estimate.residuals_px`).
         fixed: numbers of a lens's coefficients that were not estimated.
     """
     distance = float(np.median(T_left_board[:, 2, 3]))
     free = [k for k in range(COUNT) if not (k < 2 * EYE and k % EYE - INTRINSICS in fixed)]
     normal, square, count = np.zeros((len(free), len(free))), 0.0, 0
     for view, T in zip(views, T_left_board, strict=True):
-        here = np.concatenate(residuals(calibration, view, board, T)).ravel()
-        moved = [residuals(_moved(calibration, k), view, board, T) for k in free]
-        moved += [residuals(calibration, view, board, _turned(T, k, distance)) for k in range(POSE)]
+        here = np.concatenate(residuals_px(calibration, view, board, T)).ravel()
+        moved = [residuals_px(_moved(calibration, k), view, board, T) for k in free]
+        moved += [residuals_px(calibration, view, board, _turned(T, k, distance)) for k in range(POSE)]
         slope = np.stack([(np.concatenate(both).ravel() - here) / STEP for both in moved], axis=1)
         of_lens, of_pose = slope[:, : len(free)], slope[:, len(free) :]
         # what no pose of the board explains
@@ -113,31 +107,10 @@ def _rays(
     calibration: StereoCalibration, left: Float64[np.ndarray, "n 2"], right: Float64[np.ndarray, "n 2"]
 ) -> Float64[np.ndarray, "n 3"]:
     """Of the rectified pair: x and y of the left eye, and x of the right one less that of the left one."""
-    size = (calibration.image_width, calibration.image_height)
-    K_l, K_r = np.array(calibration.K_left), np.array(calibration.K_right)
-    d_l, d_r = np.array(calibration.distortion_left), np.array(calibration.distortion_right)
-    R, t = np.array(calibration.T_right_left[:3, :3]), calibration.T_right_left[:3, 3:].copy()
-    R_l, R_r, *_ = cv2.stereoRectify(K_l, d_l, K_r, d_r, size, R, t, alpha=-1)
-    rays = [
-        np.asarray(cv2.undistortPoints(px[:, None], K, d, R=R_eye), np.float64).reshape(-1, 2)
-        for px, K, d, R_eye in ((left, K_l, d_l, R_l), (right, K_r, d_r, R_r))
-    ]
-    return np.column_stack((rays[0], rays[1][:, 0] - rays[0][:, 0]))
-
-
-def seen_by(
-    calibration: StereoCalibration, points: Float64[np.ndarray, "n 3"]
-) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n 2"]]:
-    """The pixels of both images that show points of the left camera's frame."""
-    right = points @ calibration.T_right_left[:3, :3].T + calibration.T_right_left[:3, 3]
-    left, right = (
-        cv2.projectPoints(np.ascontiguousarray(p), np.zeros(3), np.zeros(3), np.array(K), np.array(d))[0]
-        for p, K, d in (
-            (points, calibration.K_left, calibration.distortion_left),
-            (right, calibration.K_right, calibration.distortion_right),
-        )
-    )
-    return np.asarray(left, np.float64).reshape(-1, 2), np.asarray(right, np.float64).reshape(-1, 2)
+    R_l, R_r, *_ = rectifying(calibration)
+    of_left = undistorted(left, calibration.K_left, calibration.distortion_left, R_l)
+    of_right = undistorted(right, calibration.K_right, calibration.distortion_right, R_r)
+    return np.column_stack((of_left, of_right[:, 0] - of_left[:, 0]))
 
 
 def _baseline(calibration: StereoCalibration) -> float:

@@ -16,6 +16,7 @@ from schemas.messages import StereoCalibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.covariance import error_covariance
 from shared.calibration.estimation.coverage import View
+from shared.calibration.estimation.projection import residuals_px
 from shared.calibration.stated import CalibrationError
 from shared.rigid_transforms import nearest_rotation, transform
 
@@ -88,7 +89,7 @@ def estimated(
         views = views[:worst] + views[worst + 1 :]
     _check_fit(found)
     fixed = () if len(views) >= VIEWS_FOR_ALL else (4,)
-    covariance = error_covariance(found.calibration, found.views, board, found.T_left_board, residuals_px, fixed)
+    covariance = error_covariance(found.calibration, found.views, board, found.T_left_board, fixed)
     return Estimate(
         replace(found.calibration, covariance=covariance),
         found.views,
@@ -178,24 +179,6 @@ def _fitted(
     )
     residuals = [residuals_px(calibration, view, board, T) for view, T in zip(views, T_left_board, strict=True)]
     return Estimate(calibration, views, T_left_board, tuple(a for a, _ in residuals), tuple(b for _, b in residuals))
-
-
-def residuals_px(
-    calibration: StereoCalibration, view: View, board: Board, T_left_board: Float64[np.ndarray, "4 4"]
-) -> tuple[Float64[np.ndarray, "c 2"], Float64[np.ndarray, "c 2"]]:
-    """What is left at each corner of a view in both images, seen minus expected, given how the board stands."""
-    points = board.points[view.number] @ T_left_board[:3, :3].T + T_left_board[:3, 3]
-    in_right = points @ calibration.T_right_left[:3, :3].T + calibration.T_right_left[:3, 3]
-    expected_left = _projected(points, calibration.K_left, calibration.distortion_left)
-    expected_right = _projected(in_right, calibration.K_right, calibration.distortion_right)
-    return view.left - expected_left, view.right - expected_right
-
-
-def _projected(
-    points: Float64[np.ndarray, "c 3"], K: Float64[np.ndarray, "3 3"], distortion: Float64[np.ndarray, "d"]
-) -> Float64[np.ndarray, "c 2"]:
-    px, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.array(K), np.array(distortion))
-    return np.asarray(px, np.float64).reshape(-1, 2)
 
 
 def _rotation(vector: Float64[np.ndarray, "3 1"]) -> Float64[np.ndarray, "3 3"]:

@@ -1,6 +1,6 @@
 """From traced light to what an endoscope's camera puts out: optics, exposure, noise, tone curve, compression."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -28,10 +28,6 @@ class Effects:
     smoke: float = 0.0
     motion_px: tuple[float, float] = (0.0, 0.0)
     interlace_px: float = 0.0
-
-    def as_document(self) -> dict[str, object]:
-        """What goes into the scene's file."""
-        return asdict(self)
 
 
 def drawn_effects(rng: np.random.Generator, wide: bool = False) -> Effects:

@@ -4,7 +4,7 @@ On disk it has the form of the published renders: images, masks, the camera, the
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
@@ -264,7 +264,7 @@ def document(name: str, pair: TracedPair) -> dict[str, object]:
         **_right_camera(pair.rig),
         "Z0": pair.arranged.distance_mm,
         "spp": pair.samples,
-        "post": pair.arranged.effects.as_document(),
+        "post": asdict(pair.arranged.effects),
         "mask_offset_px": [float(np.abs(part).mean()) if len(part) else 0.0 for part in pair.offsets_px],
         "mask_bias_px": [float(part.mean()) if len(part) else 0.0 for part in pair.offsets_px],
         "threads": len(threads),

@@ -121,10 +121,11 @@ def arranged(recipe: Recipe, rig: Rig) -> Arranged:
         UnarrangedError: where the camera sees too little for its threads.
     """
     # the shape's own seed differs by background, so that a scene on paper is not one on flesh with another picture
-    rng = np.random.default_rng([recipe.seed, 7, list(BACKGROUNDS).index(recipe.background), _number(recipe.config)])
+    place = list(BACKGROUNDS).index(recipe.background), (*CONFIGS, VARIED).index(recipe.config)
+    rng = np.random.default_rng([recipe.seed, 7, *place])
     wide = recipe.config == VARIED
     config = _drawn_config(rng) if wide else recipe.config
-    extras = (*_drawn_extras(rng, config), *_asked(recipe)) if wide else recipe.extras
+    extras = (*_drawn_extras(rng, config), *((MESHES,) if MESHES in recipe.extras else ())) if wide else recipe.extras
     parts = driver_parts(recipe.meshes) if recipe.meshes is not None else None
     camera = rig.near_enough
     # as much of the field as the published renders show
@@ -153,11 +154,6 @@ def arranged(recipe: Recipe, rig: Rig) -> Arranged:
         f"no {config} scene of seed {recipe.seed} fits into the images of this camera"
         f"{f': {problem}' if problem else ''}; use another seed or a wider view"
     )
-
-
-def _asked(recipe: Recipe) -> tuple[str, ...]:
-    """What is never drawn, and was asked for."""
-    return (MESHES,) if MESHES in recipe.extras else ()
 
 
 def _distance(recipe: Recipe, camera: RectifiedStereo, rng: np.random.Generator) -> float | None:
@@ -190,10 +186,6 @@ def _known(what: str, chosen: tuple[str, ...], known: tuple[str, ...]) -> None:
             raise SceneError(f"unknown {what} {name!r}; known: {', '.join(known)}")
 
 
-def _number(config: str) -> int:
-    return (*CONFIGS, VARIED).index(config)
-
-
 def _drawn_config(rng: np.random.Generator) -> str:
     shares = {
         "easy": 9,
@@ -206,10 +198,8 @@ def _drawn_config(rng: np.random.Generator) -> str:
         "needle": 8,
         "rod": 24,
     }
-    total = sum(shares.values()) * 1.5
-    names = [*shares, "none"]
-    odds = np.array([*shares.values(), 0.5 * sum(shares.values())]) / total
-    return str(rng.choice(names, p=odds))
+    odds = np.array([*shares.values(), 0.5 * sum(shares.values())])
+    return str(rng.choice([*shares, "none"], p=odds / (1.5 * sum(shares.values()))))
 
 
 def _drawn_extras(rng: np.random.Generator, config: str) -> tuple[str, ...]:

@@ -13,7 +13,6 @@ from scipy.linalg import solve_banded
 from scipy.spatial import cKDTree
 
 from schemas.messages import RectifiedStereo
-from shared.rendering.centreline import Thread
 from shared.rendering.surface import Surface
 from shared.rendering.thread_shapes import thread_on
 from shared.splines import evaluate
@@ -113,12 +112,6 @@ class Strand:
     dye: str
 
 
-def strand_of(thread: Thread, dye: str) -> Strand:
-    """A thread of the light renderer's shapes as this renderer draws it."""
-    s = np.linspace(0.0, 1.0, FINE)
-    return Strand(curve_through(evaluate(thread.knots, thread.control_points, thread.degree, s)), thread.radius_mm, dye)
-
-
 def drawn_strand(
     camera: RectifiedStereo, surface: Surface, config: str, seed: int, radius_mm: float, dye: str
 ) -> Strand:
@@ -127,7 +120,8 @@ def drawn_strand(
     Raises:
         ShapeError: where the camera sees too little for it.
     """
-    return strand_of(thread_on(camera, surface, config, seed, radius_mm), dye)
+    thread, s = thread_on(camera, surface, config, seed, radius_mm), np.linspace(0.0, 1.0, FINE)
+    return Strand(curve_through(evaluate(thread.knots, thread.control_points, thread.degree, s)), thread.radius_mm, dye)
 
 
 def laid_over(strand: Strand, below: list[Strand]) -> Strand:
@@ -136,13 +130,9 @@ def laid_over(strand: Strand, below: list[Strand]) -> Strand:
         short = max((_overlap(strand, other) for other in below), default=0.0)
         if short <= 0:
             break
-        strand = moved(strand, np.array([0.0, 0.0, -(short + 0.02)]))
+        nearer = np.round(strand.curve.control_points - np.array([0.0, 0.0, short + 0.02]), 5)
+        strand = replace(strand, curve=Curve(nearer))
     return strand
-
-
-def moved(strand: Strand, by_mm: Float64[np.ndarray, "3"]) -> Strand:
-    """The strand elsewhere."""
-    return replace(strand, curve=Curve(np.round(strand.curve.control_points + by_mm, 5)))
 
 
 def _overlap(strand: Strand, other: Strand) -> float:

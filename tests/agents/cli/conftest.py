@@ -13,9 +13,8 @@ import pytest
 
 from agents.cli.main import main
 from schemas.messages import RectifiedStereo
-from shared.rendering.__main__ import make_scene
 from shared.rendering.files import write_pair
-from shared.rendering.render import render
+from shared.rendering.render import make_scene, render
 
 REPOSITORY = Path(__file__).parents[3]
 DATA = REPOSITORY / "../shared/data"

@@ -13,8 +13,8 @@ from agents.cli.experiment.command import JOURNAL, write
 from agents.cli.experiment.terminal import Nobody
 from agents.cli.experiment.trial import ExperimentError, Rig, declines
 from agents.cli.page.trials import trials_of
+from agents.experiment.journal import Attempt, Journal, Protocol
 from agents.operator.operator import Stood
-from agents.rig_trials.journal import Attempt, Journal, Protocol
 from agents.robot_bridge.plans import Code
 from schemas.messages import CommandAnswer, Outcome
 from shared.runtime.config import ConfigError

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from agents.cli.experiment.command import JOURNAL
 from agents.cli.page.trials import trials_of
-from agents.rig_trials.journal import Journal, Protocol
+from agents.experiment.journal import Journal, Protocol
 from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState
 from schemas.topics import EXECUTION, MAIN, PROMPT, ROBOT_STATE, TOOL
 from shared.clock import now_ns

@@ -11,8 +11,7 @@ from schemas.codec import decode, encode
 from schemas.messages import FrameStamp, ImageEncoding, StereoCalibration, StereoFrame, ThreadObservations
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, key
 from shared.images import encode_image
-from shared.rendering.__main__ import make_scene
-from shared.rendering.render import render
+from shared.rendering.render import make_scene, render
 from shared.runtime.agent import Received
 
 TOPICS = {StereoCalibration: CALIBRATION, StereoFrame: FRAMES, ThreadObservations: OBSERVATIONS}

@@ -16,7 +16,7 @@ from schemas.messages import Image, ImageEncoding, Severity, Status, StereoCalib
 from schemas.topics import OBSERVATIONS, SURFACE
 from shared.calibration.identity import calibration_id
 from shared.images import decode_image, encode_image
-from shared.rendering.__main__ import ENDOSCOPE
+from shared.rendering.render import ENDOSCOPE
 from shared.runtime.agent import Tick, outputs_in
 from tests.agents.perception.pictures import agent_with, fed, frame_of, noisy, rendered_pair, replies
 

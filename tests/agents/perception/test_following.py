@@ -22,7 +22,7 @@ from schemas.codec import encode
 from schemas.messages import Centrelines, FrameStamp, Status, Trail
 from shared.camera import project
 from shared.images import decode_image
-from shared.rendering.__main__ import ENDOSCOPE
+from shared.rendering.render import ENDOSCOPE
 from tests.agents.perception.pictures import agent_with, fed, frame_of, moved, rendered, rendered_pair
 
 

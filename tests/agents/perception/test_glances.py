@@ -17,7 +17,7 @@ from schemas.codec import encode
 from schemas.messages import Status
 from schemas.topics import SURFACE
 from shared.images import decode_image
-from shared.rendering.__main__ import ENDOSCOPE
+from shared.rendering.render import ENDOSCOPE
 from tests.agents.perception.pictures import agent_with, fed, frame_of, noisy, rendered_pair
 from tests.agents.perception.test_instances import observed, told
 

@@ -11,7 +11,7 @@ from agents.perception.observe import LARGEST_SEGMENTED_SHARE, LEAST_OBSERVATION
 from schemas.messages import FrameStamp, RectifiedStereo, Severity, Status, ThreadObservations
 from shared.camera import project
 from shared.images import decode_image
-from shared.rendering.__main__ import make_scene
+from shared.rendering.render import make_scene
 from shared.splines import evaluate
 from tests.agents.perception.pictures import rendered
 

@@ -19,8 +19,7 @@ from schemas.messages import FrameStamp, Occluder, TissueSurface
 from schemas.topics import CALIBRATION, FRAMES, NEEDLE_SEEN, OBSERVATIONS, SURFACE, topic_of
 from shared.images import decode_image
 from shared.recording.mcap_file import read_recording
-from shared.rendering.__main__ import ENDOSCOPE
-from shared.rendering.render import render_backdrop
+from shared.rendering.render import ENDOSCOPE, render_backdrop
 from shared.runtime.agent import outputs_in
 from tests.agents.perception.pictures import agent_with, frame_of, rendered, rendered_pair, replies
 

@@ -8,13 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from shared.rendering.__main__ import ENDOSCOPE, main, make_scene
+from shared.rendering.__main__ import main
 from shared.rendering.centreline import Thread
 from shared.rendering.render import (
     COLOURS,
+    ENDOSCOPE,
     Backdrop,
     Scene,
     SceneError,
+    make_scene,
     mask_of,
     render,
     render_backdrop,

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from shared.rendering.__main__ import ENDOSCOPE
-from shared.rendering.render import SceneError
+from shared.rendering.render import ENDOSCOPE, SceneError
 from shared.rendering.rendered_fields import FIELDS, rendered_backdrop, rendered_surface
 from shared.rendering.surface import depth_at_points
 

@@ -1,19 +1,14 @@
-"""Rays meet the surface where geometry has it, both eyes see one and the same background, and files keep it."""
-
-from dataclasses import replace
+"""Rays meet the surface where geometry has it, and both eyes see one and the same background."""
 
 import cv2
 import numpy as np
 import pytest
 
 from schemas.messages import RectifiedStereo
-from shared.rendering.backdrop_files import read_backdrop, write_backdrop
-from shared.rendering.render import SceneError, render_backdrop, render_thread
+from shared.rendering.render import render_backdrop
 from shared.rendering.surface import depth_at_points, flat_surface, meet_rays, ray_tangents, tissue_surface
-from shared.rendering.thread_shapes import thread_on
 
 CAMERA = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5, 1e-3)
-SMALL = RectifiedStereo(320, 180, 1000.0 / 3.0, 1000.0 / 3.0, 159.5, 89.5, 5.5, 1e-3)
 
 
 @pytest.mark.parametrize("eye_x_mm", [0.0, CAMERA.baseline])
@@ -55,18 +50,3 @@ def test_the_background_has_the_disparity_of_its_depth():
     assert abs(shift_left_over(right[seen], expected(0.0)[seen])) < 0.02
     # a millimetre is 0.3 px here, of which the estimate keeps a part, since it leaves out what differs most
     assert shift_left_over(right[seen], expected(1.0)[seen]) > 0.08
-
-
-def test_a_field_on_disk_comes_back_as_it_was_for_its_own_camera_alone(tmp_path):
-    backdrop = render_backdrop(SMALL, "tissue", 95.0, 4)
-    write_backdrop(tmp_path, SMALL, backdrop, {"seed": 4})
-    read = read_backdrop(tmp_path, SMALL)
-    assert np.abs(read.left_bgr.astype(float) - backdrop.left_bgr).mean() < 3.0
-    np.testing.assert_allclose(read.depth_left_mm, backdrop.depth_left_mm, atol=0.01)
-    np.testing.assert_allclose(read.depth_right_mm, backdrop.depth_right_mm, atol=0.01)
-    left, _ = render_thread(SMALL, thread_on(SMALL, read.surface, "easy", 1), "violet", read)
-    assert 0.001 < (np.abs(left.bgr.astype(int) - read.left_bgr).max(axis=2) > 20).mean() < 0.1
-    with pytest.raises(SceneError, match="another camera, which differs in fx_px, fy_px"):
-        read_backdrop(tmp_path, replace(SMALL, fx_px=300.0, fy_px=300.0))
-    with pytest.raises(SceneError, match="suturegrasp scenes backdrop"):
-        read_backdrop(tmp_path / "nowhere", SMALL)

@@ -17,7 +17,7 @@ from agents.perception.judging.picture import INTERLACING
 from agents.perception.judging.whole import judge_whole
 from schemas.messages import RectifiedStereo, RightEye, Severity
 from shared.disparities import disparities
-from shared.rendering.__main__ import ENDOSCOPE
+from shared.rendering.render import ENDOSCOPE
 from shared.right_eye import from_in_line, moved
 
 HEIGHT, WIDTH = 270, 480

@@ -15,8 +15,7 @@ from agents.perception.segmentation.network import segment_network, thread_in
 from agents.perception.segmentation.threshold import segment_threshold
 from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
 from schemas import messages
-from shared.rendering.__main__ import make_scene
-from shared.rendering.render import render
+from shared.rendering.render import make_scene, render
 from tests.agents.perception.pictures import recall_and_precision, rendered
 
 HEIGHT, WIDTH = 240, 320

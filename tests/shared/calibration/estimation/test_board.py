@@ -7,7 +7,8 @@ import pytest
 from shared.calibration import CalibrationError
 from shared.calibration.estimation.board import Board, Corners, alike, corners_of
 from shared.calibration.estimation.coverage import NoView, View, shared_view, view_of
-from shared.calibration.estimation.estimate import residuals_px, rms
+from shared.calibration.estimation.estimate import rms
+from shared.calibration.estimation.projection import residuals_px
 from shared.rigid_transforms import exp_so3, transform
 from tests.rigs.boards import endoscope, rendered, standings
 

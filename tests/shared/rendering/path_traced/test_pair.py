@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from agents.cli.lab.scenes import endoscope
-from shared.rendering.backdrop_files import read_backdrop, write_backdrop
-from shared.rendering.path_traced.backdrop import traced_backdrop
 from shared.rendering.path_traced.batch import Job, make, mean_offset, outstanding
 from shared.rendering.path_traced.eyes import calibrated_rig
 from shared.rendering.path_traced.field import Field
@@ -19,6 +17,7 @@ from shared.rendering.path_traced.pair import traced_pair
 from shared.rendering.path_traced.recipe import BACKGROUNDS, Recipe
 from shared.rendering.path_traced.splines import Curve, sampled
 from shared.rendering.render import SceneError
+from shared.rendering.surface import meet_rays, ray_tangents
 from tests.shared.rendering.path_traced.test_eyes import calibration
 
 pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
@@ -121,18 +120,19 @@ def test_a_field_without_thread_has_empty_masks_and_still_an_image(background):
 
 
 @pytest.mark.parametrize("seed", [3, 2**32 + 3], ids=["a small seed", "more than Mitsuba takes"])
-def test_its_depth_carries_the_left_image_into_the_right_one(tmp_path, seed):
-    rig = endoscope(320, 180)
-    write_backdrop(tmp_path, rig.near_enough, traced_backdrop("paper", seed, rig, 2), {"seed": seed})
-    field = read_backdrop(tmp_path, rig.near_enough)
+def test_depth_of_the_ground_carries_the_left_image_into_the_right_one(seed):
+    pair = traced_pair(Recipe("none", "paper", seed), SMALL, 2)
+    camera = SMALL.near_enough
+    depth = meet_rays(pair.arranged.field.ground.surface, *ray_tangents(camera), 0.0)
+    left, right = (images.bgr for images in pair.images)
     v, u = np.indices((180, 320), dtype=np.float32)
-    disparity = rig.near_enough.fx_px * rig.baseline_mm / field.depth_left_mm
-    carried = cv2.remap(field.right_bgr, (u - disparity).astype(np.float32), v, cv2.INTER_LINEAR)
+    disparity = camera.fx_px * SMALL.baseline_mm / depth
+    carried = cv2.remap(right, (u - disparity).astype(np.float32), v, cv2.INTER_LINEAR)
     inner = (slice(10, -10), slice(40, -10))
-    grey = [image[inner].mean(axis=2).ravel() for image in (field.left_bgr, carried)]
-    assert np.corrcoef(grey)[0, 1] > 0.97
-    asis = field.right_bgr[inner].mean(axis=2).ravel()
-    assert np.corrcoef(grey[0], asis)[0, 1] < 0.9
+    grey = [image[inner].mean(axis=2).ravel() for image in (left, carried, right)]
+    correlation = np.corrcoef(grey)[0]
+    assert correlation[1] > 0.95
+    assert correlation[2] < 0.9
 
 
 def test_colour_lies_where_the_relief_is():

@@ -5,9 +5,9 @@ from collections import Counter
 
 import pytest
 
-from agents.rig_trials.journal import Attempt, Journal, Protocol, order
-from agents.rig_trials.results import document, results_of
-from agents.rig_trials.table import page
+from agents.experiment.journal import Attempt, Journal, Protocol, order
+from agents.experiment.results import document, results_of
+from agents.experiment.table import page
 from shared.published_rates import published_rate
 
 PROTOCOL = Protocol(seed=7, goals=20, threads=("hard/chicken", "easy/paper"), arm="psm1", verdicts="operator")

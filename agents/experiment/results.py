@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.rig_trials.journal import POLICIES, Attempt, Journal, PolicyName
+from agents.experiment.journal import POLICIES, Attempt, Journal, PolicyName
 from shared.published_rates import TOTALS, published_rate
 from shared.success_rates import Interval, difference, difference_over_threads, mcnemar, wilson
 

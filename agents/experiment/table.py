@@ -1,7 +1,7 @@
 """The results as a page of Markdown: Table I with the paper's row beside it, and what its figures are worth."""
 
-from agents.rig_trials.journal import POLICIES, PolicyName
-from agents.rig_trials.results import Rate, Results
+from agents.experiment.journal import POLICIES, PolicyName
+from agents.experiment.results import Rate, Results
 from shared.success_rates import FEWEST_THREADS, Interval
 
 
