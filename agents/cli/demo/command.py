@@ -11,7 +11,6 @@ import numpy as np
 from agents.cli.demo.report import report
 from agents.cli.live.attempts import Attempts, attempts_on
 from agents.cli.live.command import percent, plan_sentence
-from agents.cli.live.events import event_sentence
 from agents.cli.live.options import Demo
 from agents.cli.live.up import FIRST_CONTACT_S, start_all, write_config
 from agents.configuration.rig import PlannerSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
@@ -32,6 +31,7 @@ from schemas.messages import (
 )
 from schemas.topics import JUDGEMENT, THREAD
 from shared.clock import monotonic_s
+from shared.execution_words import event_told
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.session import free_local_endpoint
 from shared.runtime.taps import Tapped
@@ -190,7 +190,7 @@ def _carried_out(story: Story, goals: list[tuple[float, float]], grasps: Attempt
     plan = _plan(story, goals)
     for left in reversed(range(ARMINGS)):
         stood = arm_and_stand_by(
-            story.connection, ARM, plan.plan_id, story.stopped, lambda event: say(event_sentence(event))
+            story.connection, ARM, plan.plan_id, story.stopped, lambda event: say(event_told(event))
         )
         story.check()
         # on a busy machine a heartbeat may come late, and the arm holds, as it should
@@ -269,7 +269,7 @@ def _verdict(story: Story, plan_id: str, stood: Stood) -> GraspJudgement:
     if stood.answer.outcome is not Outcome.ACCEPTED:
         raise DemoError(f"the arm was not armed: {stood.answer.reason}")
     if stood.end is None or stood.end.kind is not ExecutionKind.FINISHED:
-        raise DemoError(stood.left or (event_sentence(stood.end) if stood.end else "the grasp was not finished"))
+        raise DemoError(stood.left or (event_told(stood.end) if stood.end else "the grasp was not finished"))
     deadline_s = monotonic_s() + VERDICT_S
     while (left_s := deadline_s - monotonic_s()) > 0:
         try:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from agents.cli.experiment.terminal import Attendant, LeftError, Person
 from agents.cli.live.command import POLICIES, plan_sentence
-from agents.cli.live.events import event_sentence
 from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, events_of
 from agents.rig_trials.journal import Attempt, Cause, Trial
 from agents.robot_bridge.plans import AGAINST_PLAN
@@ -25,6 +24,7 @@ from schemas.messages import (
 )
 from schemas.topics import JUDGEMENT, MAIN, THREAD
 from shared.clock import monotonic_s, now_ns
+from shared.execution_words import event_told
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
 from shared.terminal import say
@@ -102,7 +102,7 @@ def _moved(trial: Trial, plan: GraspPlan, rig: Rig) -> Attempt | str:
 
 def _carried_out(made: Attempt, plan: GraspPlan, verdicts: Events, rig: Rig) -> Attempt | str:
     began_s = monotonic_s()
-    stood = arm_and_stand_by(rig.connection, rig.arm, plan.plan_id, rig.stopped, lambda e: say(event_sentence(e)))
+    stood = arm_and_stand_by(rig.connection, rig.arm, plan.plan_id, rig.stopped, lambda e: say(event_told(e)))
     took_s = monotonic_s() - began_s
     if rig.stopped.is_set():
         raise LeftError("interrupted; the arm holds")

@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from agents.cli.live.attempts import attempts_on
-from agents.cli.live.events import event_sentence
 from agents.cli.live.options import (
     ArmPlan,
     ChangeArmState,
@@ -42,6 +41,7 @@ from schemas.messages import (
 )
 from schemas.topics import EXECUTION
 from shared.clock import monotonic_s
+from shared.execution_words import event_told
 from shared.runtime.connection import connected
 from shared.terminal import complain, say
 
@@ -113,7 +113,7 @@ def arm(rig: RigConfig, options: ArmPlan) -> int:
         return stand_by_pull(rig, options, stopped)
     with connected(rig.session) as connection, attempts_on(connection) as attempts:
         for left in reversed(range(options.attempts)):
-            stood = arm_and_stand_by(connection, options.arm, plan_id, stopped, lambda e: say(event_sentence(e)))
+            stood = arm_and_stand_by(connection, options.arm, plan_id, stopped, lambda e: say(event_told(e)))
             outcome = _outcome(stood)
             if outcome != EXIT_OK:
                 return outcome
