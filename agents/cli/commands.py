@@ -73,10 +73,10 @@ GROUPS: dict[str, dict[str, Command]] = {
             "calibrate.command:calibrate",
         ),
         "calibrate hand-eye": Command(
-            "where an arm's base is before the camera", "calibrate.hand_eye_options:HandEye", "calibrate.hand_eye:run"
+            "where an arm's base is before the camera", "calibrate.options:HandEye", "calibrate.hand_eye:run"
         ),
         "calibrate jaw": Command(
-            "at which angle an instrument's jaw closes", "calibrate.jaw_options:Jaw", "calibrate.jaw:run"
+            "at which angle an instrument's jaw closes", "calibrate.options:Jaw", "calibrate.jaw:run"
         ),
         "track-tool": Command(
             "how far an arm's tool is from where its joints have it",

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.camera.image_files import ImageFileError
 from agents.cli.calibrate.options import Calibrate
 from agents.cli.calibrate.page import write_report
 from agents.cli.calibrate.views import Seen, views_in_folders, views_of_camera
 from agents.configuration.rig import RigConfig
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, on_stop
 from schemas.messages import Judgement, Severity
 from shared.calibration import CalibrationError, read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
@@ -33,24 +32,13 @@ ROWS_LIMIT_PX, SQUARES_LIMIT = 0.5, 0.01
 
 def calibrate(rig: RigConfig, options: Calibrate) -> int:
     """Carry it out; the exit status."""
+    board = Board(*options.squares, options.square, options.marker, options.dictionary, options.legacy)
+    if options.action == "check":
+        return _check(options, board)
     try:
-        board = _board(options)
-        if options.action == "check":
-            return _check(options, board)
         return _estimate(rig, options, board)
-    except (UsageError, ImageFileError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
     except CalibrationError as error:
-        return complain(str(error), EXIT_NONE if options.action == "stereo" else EXIT_UNUSABLE)
-
-
-def _board(options: Calibrate) -> Board:
-    if options.unit not in METRES_PER_UNIT:
-        raise UsageError(f"--unit {options.unit} is unknown; choose from {', '.join(METRES_PER_UNIT)}")
-    try:
-        return Board(*options.squares, options.square, options.marker, options.dictionary, options.legacy)
-    except CalibrationError as error:
-        raise UsageError(str(error)) from None
+        return complain(str(error), EXIT_NONE)
 
 
 def _estimate(rig: RigConfig, options: Calibrate, board: Board) -> int:

@@ -21,11 +21,9 @@ from agents.tool_tracker.search import soft_pair
 from agents.tool_tracker.track import Following, Track, begun, followed
 from shared.calibration.made import MADE, made_text
 from shared.kinematics.psm import FINGER_M
-from shared.recording.entry import RecordingError
 from shared.rigid_transforms import apply, log_so3
-from shared.runtime.config import ConfigError
-from shared.runtime.connection import NoRouterError, connected
-from shared.terminal import complain, say, warn
+from shared.runtime.connection import connected
+from shared.terminal import UsageError, complain, say, warn
 
 EXIT_DRIFTED, EXIT_NOT_FOUND = 1, 3
 FOLLOWING_S, SEARCHING_S = 0.2, 0.4
@@ -37,17 +35,14 @@ def run(options: TrackTool) -> int:
     """Follow the tool, and tell; the exit status."""
     for path in (options.output, options.tips):
         if path is not None and path.exists():
-            return complain(f"{path} exists already; give another name", EXIT_UNUSABLE)
+            raise UsageError(f"{path} exists already; give another name")
     if options.live == (options.recording is not None):
-        return complain("give a recording, or --live", EXIT_UNUSABLE)
+        raise UsageError("give a recording, or --live")
     told = _Told(options)
-    try:
-        for seen in _seen(options):
-            told.look(seen)
-            if told.views == options.views:
-                break
-    except (RecordingError, ConfigError, NoRouterError, OSError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    for seen in _seen(options):
+        told.look(seen)
+        if told.views == options.views:
+            break
     if options.tips is not None:
         _write_tips(options.tips, told.tips)
     return told.conclusion()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agents.cli.calibrate.jaw import listened
-from agents.cli.calibrate.jaw_options import Jaw
+from agents.cli.calibrate.options import Jaw
 from agents.cli.recordings.recompute import with_simulated_arms
 from agents.configuration.rig import RigConfig
 from agents.launch.builders import build
