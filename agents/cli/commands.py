@@ -65,7 +65,7 @@ GROUPS: dict[str, dict[str, Command]] = {
             "reconstruct.command:run",
         ),
         "segment": Command(
-            "where an image shows thread, needle, instrument", "segment.options:Segment", "segment.command:run"
+            "where an image shows thread, needle, instrument", "reconstruct.options:Segment", "reconstruct.segment:run"
         ),
         "calibrate": _on_rig(
             "a stereo camera by images of a board, or check one",

@@ -8,6 +8,7 @@ import numpy as np
 from agents.cli.calibrate.options import Calibrate
 from agents.cli.calibrate.page import write_report
 from agents.cli.calibrate.views import Seen, views_in_folders, views_of_camera
+from agents.cli.places import check_folder
 from agents.configuration.rig import RigConfig
 from agents.launch.process import EXIT_OK, on_stop
 from schemas.messages import Judgement, Severity
@@ -118,10 +119,7 @@ def _check(options: Calibrate, board: Board) -> int:
 def _output(folder: Path | None) -> Path:
     if folder is None:
         raise UsageError("give --output, a folder for the calibration and its report")
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--output {folder} is a file; give a new folder")
-    if folder.exists() and any(folder.iterdir()):
-        raise UsageError(f"--output {folder} is not empty; give a new folder")
+    check_folder("--output", folder)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.cli.calibrate.options import HandEye
+from agents.cli.places import check_new
 from agents.cli.recordings.arm_states import arm_states
 from agents.launch.process import EXIT_OK
 from schemas.messages import StereoCalibration
@@ -162,8 +163,8 @@ def run(options: HandEye) -> int:
     """Carry it out; the exit status."""
     if (options.poses is None) == (options.recording is None):
         raise UsageError("give the robot's poses by one of --poses and --recording")
-    if options.output is not None and options.output.exists():
-        raise UsageError(f"{options.output} is there already; give a new file")
+    if options.output is not None:
+        check_new(options.output)
     camera, turned = _camera(options), True
     sightings = sightings_in(options.tips, camera)
     if options.recording is not None:

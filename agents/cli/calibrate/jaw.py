@@ -6,6 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from agents.cli.calibrate.options import Jaw
+from agents.cli.places import check_new
 from agents.cli.recordings.arm_states import arm_states
 from agents.configuration.this_host import rig_of
 from agents.launch.process import EXIT_OK, on_stop
@@ -33,8 +34,8 @@ def run(options: Jaw) -> int:
     """Carry it out; the exit status."""
     if options.live == (options.recording is not None):
         raise UsageError("give a recording, or --live")
-    if options.output is not None and options.output.exists():
-        raise UsageError(f"{options.output} is there already; give a new file")
+    if options.output is not None:
+        check_new(options.output)
     states = _heard(options) if options.recording is None else arm_states(options.recording, options.arm)
     motion, instrument = motion_of(states), instrument_of(states, options.instrument)
     try:

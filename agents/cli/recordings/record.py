@@ -10,6 +10,7 @@ import threading
 from pathlib import Path
 
 from agents.cli.live.options import Record
+from agents.cli.places import check_new
 from agents.cli.recordings.facts import STUDY_FACTS, attached_to, clocks_note, notes_of
 from agents.cli.recordings.one_after_another import Recordings
 from agents.configuration.hosts import kind_and_instance
@@ -69,8 +70,7 @@ def record(rig: RigConfig, options: Record) -> int:
     path = free_path(options.output) if options.numbered else options.output
     section = section_of(rig, options)
     settings = settings_of(section)
-    if path.exists():
-        return complain(f"{path} exists already; give another name", EXIT_UNUSABLE)
+    check_new(path)
     stopped = threading.Event()
     asks_at_terminal = settings.pre_trigger is not None and SUPERVISED not in os.environ and sys.stdin.isatty()
     on_stop(stopped.set, for_sure=True)
@@ -81,10 +81,7 @@ def record(rig: RigConfig, options: Record) -> int:
         return Recorder(path, settings=settings, notes=notes_of(rig, section), attached=attached_to(rig), tell=_tell)
 
     own = f"{key_root(rig.rig, _instance(rig), KIND)}/"
-    try:
-        recordings = Recordings(path, begun, DiskGuard(path.parent, settings.keep_free_bytes), LOGGER, own)
-    except OSError as error:
-        return complain(f"{path} cannot be written: {error.strerror or error}", EXIT_UNUSABLE)
+    recordings = Recordings(path, begun, DiskGuard(path.parent, settings.keep_free_bytes), LOGGER, own)
     signal.signal(signal.SIGUSR1, lambda *_: recordings.trigger(ASKED))
     if asks_at_terminal:
         say("Enter keeps the last seconds")

@@ -9,12 +9,13 @@ from itertools import takewhile
 from pathlib import Path
 
 from agents.cli.live.options import View
+from agents.cli.places import check_new
 from agents.configuration.rig import RigConfig
 from agents.launch.host_facts import telling, told_without
 from agents.launch.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
 from agents.launch.session_folder import free_path
-from agents.replay.contents import WindowError, moment_ns
-from agents.viewer.live import LiveViewer, ViewerError, ViewerReport
+from agents.replay.contents import moment_ns
+from agents.viewer.live import LiveViewer, ViewerReport
 from agents.viewer.recorded import RecordedViewer, between
 from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD
 from schemas.topics import TOPICS
@@ -24,7 +25,7 @@ from shared.recording.derivation import derivations
 from shared.recording.mcap_file import Note, RecordingError, UntilDamage, is_finished, read_recording
 from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.process import serving
-from shared.terminal import complain, say, show
+from shared.terminal import UsageError, complain, say, show
 
 LOGGER = logging.getLogger("suturegrasp.viewer")
 PROGRESS_S = 5.0
@@ -38,15 +39,15 @@ def view(rig: RigConfig, options: View) -> int:
     output = free_path(options.output) if options.numbered and options.output else options.output
     stopped = threading.Event()
     on_stop(stopped.set)
-    if output is not None and output.exists():
-        return complain(f"{output} exists already; give another name", EXIT_UNUSABLE)
+    if output is not None:
+        check_new(output)
     if options.recording is not None:
         return _view_recording(options, options.recording, output, stopped)
     for name, given in (("--from", options.from_), ("--to", options.to)):
         if given is not None:
-            return complain(f"{name} cuts a recording, and none is named", EXIT_UNUSABLE)
+            raise UsageError(f"{name} cuts a recording, and none is named")
     if options.show == "file" and output is None:
-        return complain(NO_FILE, EXIT_UNUSABLE)
+        raise UsageError(NO_FILE)
     return _view_rig(rig, output, options, stopped)
 
 
@@ -55,10 +56,7 @@ def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threa
     step_back(ONLOOKER)
     # sessions that are opened together stay apart by the folder that each is in
     session_id = f"{rig.rig} {output.resolve().parent.name}" if output is not None else rig.rig
-    try:
-        viewer = LiveViewer(output, options.show or "native", session_id, options.layout)
-    except ViewerError as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    viewer = LiveViewer(output, options.show or "native", session_id, options.layout)
     for note in viewer.notes:
         say(note)
     session = rig.session_of("viewer")
@@ -79,16 +77,13 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
     """Show a recording as fast as it goes, then say what was shown and what could not be read."""
     began_s = monotonic_s()
     if _show(options, output) == "file" and output is None:
-        return complain(NO_FILE, EXIT_UNUSABLE)
-    try:
-        size = recording.stat().st_size
-        # what is no recording is told before a window opens
-        from_s, to_s = _seconds(options, recording)
-        told = _told_before(recording)
-        layout, session_id = options.layout, str(recording.resolve())
-        viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin, told)
-    except (OSError, RecordingError, ViewerError, WindowError) as error:
-        return complain(_told(error, recording), EXIT_UNUSABLE)
+        raise UsageError(NO_FILE)
+    size = recording.stat().st_size
+    # what is no recording is told before a window opens
+    from_s, to_s = _seconds(options, recording)
+    told = _told_before(recording)
+    layout, session_id = options.layout, str(recording.resolve())
+    viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin, told)
     for note in (*viewer.notes, *told):
         say(note)
     viewer.show(between(read_recording(recording), from_s, to_s))

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
+from agents.cli.places import check_new
 from agents.cli.recordings.options import TrackTool
 from agents.cli.track_tool.input import Seen, seen_in, seen_live
 from agents.configuration.this_host import rig_of
@@ -34,8 +35,8 @@ BEFORE, AFTER = (0, 220, 255), (0, 255, 0)
 def run(options: TrackTool) -> int:
     """Follow the tool, and tell; the exit status."""
     for path in (options.output, options.tips):
-        if path is not None and path.exists():
-            raise UsageError(f"{path} exists already; give another name")
+        if path is not None:
+            check_new(path)
     if options.live == (options.recording is not None):
         raise UsageError("give a recording, or --live")
     told = _Told(options)
