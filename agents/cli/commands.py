@@ -49,7 +49,7 @@ def _on_rig(does: str, options: str, runs: str, of: str = "") -> Command:
 GROUPS: dict[str, dict[str, Command]] = {
     "to try it": {
         "demo": Command("a simulated grasp from image to judgement", "live.options:Demo", "demo.command:demo"),
-        "play": Command("the simulated field with the operator's page", "page.options:Play", "page.command:run"),
+        "play": _on_rig("the simulated field with the operator's page", "page.options:Play", "page.command:run"),
         "scenes": Command("stereo images of thread with known truth", "lab.scenes_options:Scenes", "lab.scenes:run"),
         "evaluate": Command(
             "the paper's experiment in simulation", "evaluate.options:Evaluate", "evaluate.command:run"
@@ -106,7 +106,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "graph": Command("who says what to whom", "graph.options:Graph", "graph.command:run"),
     },
     "a grasp": {
-        "page": Command("the operator's page: see, click, arm, hold", "page.options:Page", "page.command:run"),
+        "page": _on_rig("the operator's page: see, click, arm, hold", "page.options:Page", "page.command:run"),
         "goal": _on_rig("ask for a grasp: where along the thread", "live.options:Goal", "live.command:goal"),
         "pull": _on_rig(
             "pull thread through tissue until its tail is short",
