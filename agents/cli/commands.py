@@ -50,7 +50,7 @@ GROUPS: dict[str, dict[str, Command]] = {
     "to try it": {
         "demo": Command("a simulated grasp from image to judgement", "live.options:Demo", "demo.command:demo"),
         "play": _on_rig("the simulated field with the operator's page", "page.options:Play", "page.command:run"),
-        "scenes": Command("stereo images of thread with known truth", "lab.scenes_options:Scenes", "lab.scenes:run"),
+        "scenes": Command("stereo images of thread with known truth", "lab.options:Scenes", "lab.scenes:run"),
         "evaluate": Command(
             "the paper's experiment in simulation", "evaluate.options:Evaluate", "evaluate.command:run"
         ),
@@ -101,9 +101,9 @@ GROUPS: dict[str, dict[str, Command]] = {
         "set": _on_rig("a parameter of a running agent", "live.options:SetInAgent", "live.set:set_parameter"),
         "deploy": Command("what each host needs; rehearse it here", "lab.options:Deploy", "lab.deploy:run"),
         "emulate": Command(
-            "the computer of a robot, to try without one", "lab.emulate_options:Emulate", "lab.emulate:run"
+            "the computer of a robot, to try without one", "lab.options:Emulate", "lab.emulate:run"
         ),
-        "graph": Command("who says what to whom", "graph.options:Graph", "graph.command:run"),
+        "graph": Command("who says what to whom", "graph:Graph", "graph:run"),
     },
     "a grasp": {
         "page": _on_rig("the operator's page: see, click, arm, hold", "page.options:Page", "page.command:run"),
