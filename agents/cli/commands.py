@@ -100,9 +100,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         ),
         "set": _on_rig("a parameter of a running agent", "live.options:SetInAgent", "live.set:set_parameter"),
         "deploy": Command("what each host needs; rehearse it here", "lab.options:Deploy", "lab.deploy:run"),
-        "emulate": Command(
-            "the computer of a robot, to try without one", "lab.options:Emulate", "lab.emulate:run"
-        ),
+        "emulate": Command("the computer of a robot, to try without one", "lab.options:Emulate", "lab.emulate:run"),
         "graph": Command("who says what to whom", "graph:Graph", "graph:run"),
     },
     "a grasp": {
