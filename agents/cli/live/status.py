@@ -41,47 +41,30 @@ def status(rig: RigConfig, options: RigStatus) -> int:
     stopped = threading.Event()
     on_stop(stopped.set)
     with _emitting(options.json) as emit, contextlib.ExitStack() as stack:
-
-        def tell(gathered: Gathered) -> None:
-            if not emit(gathered):
-                stopped.set()
-
-        with _telling_of_no_router(rig, tell):
-            try:
-                connection = stack.enter_context(connected(reading_session(rig), None, stopped))
-            except NoRouterError:
-                if stopped.is_set():
-                    return EXIT_OK
-                raise
-        watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
-        watch.start()
+        watch = None
         while not stopped.wait(EVERY_S):
-            tell(watch.gathered())
+            if watch is None:
+                with contextlib.suppress(NoRouterError):
+                    connection = stack.enter_context(connected(reading_session(rig), ROUTER_WAIT_S, stopped))
+                    watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
+                    watch.start()
+            if stopped.is_set() or not emit(_nothing(rig) if watch is None else watch.gathered()):
+                break
     return EXIT_OK
 
 
 def _once(rig: RigConfig, options: RigStatus) -> int:
-    gathered = gathered_once(rig)
+    try:
+        with connected(reading_session(rig)) as connection, contextlib.closing(StatusWatch(connection, rig)) as watch:
+            gathered = gathered_on(watch)
+    except NoRouterError:
+        gathered = _nothing(rig)
     wrongs = judge(gathered)
     if options.json:
         show(json.dumps(document(gathered, wrongs)))
     else:
-        on_terminal = sys.stdout.isatty()
-        _print(Console(width=None if on_terminal else PAGE_COLUMNS), gathered)
+        _print(Console(width=None if sys.stdout.isatty() else PAGE_COLUMNS), gathered)
     return EXIT_WRONG if any(wrong.grave for wrong in wrongs) else EXIT_OK
-
-
-def gathered_once(rig: RigConfig) -> Gathered:
-    """What can be heard of a rig within a few seconds; where no router answers, that.
-
-    Raises:
-        IdentityError: where this host's certificate cannot be used.
-    """
-    try:
-        with connected(reading_session(rig)) as connection, contextlib.closing(StatusWatch(connection, rig)) as watch:
-            return gathered_on(watch)
-    except NoRouterError:
-        return _nothing(rig)
 
 
 def gathered_on(watch: StatusWatch) -> Gathered:
@@ -112,26 +95,6 @@ def _emitting(as_json: bool) -> Generator[Emit]:
             return True
 
         yield update
-
-
-@contextlib.contextmanager
-def _telling_of_no_router(rig: RigConfig, tell_of: Callable[[Gathered], None]) -> Generator[None]:
-    """Tell again and again that no router answers, until one does."""
-    answered = threading.Event()
-
-    def tell() -> None:
-        wait_s = ROUTER_WAIT_S
-        while not answered.wait(wait_s):
-            tell_of(_nothing(rig))
-            wait_s = EVERY_S
-
-    telling = threading.Thread(target=tell, name="no router", daemon=True)
-    telling.start()
-    try:
-        yield
-    finally:
-        answered.set()
-        telling.join()
 
 
 def _print(console: Console, gathered: Gathered) -> None:
