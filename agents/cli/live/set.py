@@ -9,7 +9,7 @@ from rich.table import Table
 
 from agents.cli.live.options import SetInAgent
 from agents.configuration.rig import RigConfig
-from agents.diagnostics.status.health_watch import name_of
+from agents.diagnostics.status.health_watch import agent_name, name_of
 from agents.launch.process import EXIT_OK
 from schemas.messages import AgentConfiguration, Outcome
 from schemas.topics import MAIN
@@ -75,7 +75,7 @@ def value_of(text: str) -> Any:
 
 
 def _nobody(called: str, present: Collection[str]) -> str:
-    others = ", ".join(name_of(*name.split("/")) for name in present)
+    others = ", ".join(agent_name(name) for name in present)
     return f"{called} does not run; {f'there are {others}' if others else 'no agent does'}"
 
 

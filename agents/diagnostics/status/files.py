@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from agents.configuration.digest import differing
 from agents.diagnostics.status.gathered import Gathered
-from agents.diagnostics.status.health_watch import name_of
+from agents.diagnostics.status.health_watch import agent_name
 from agents.diagnostics.status.wrong import Wrong, listed
 
 HERE = "here"
@@ -20,7 +20,7 @@ def judge_files(gathered: Gathered) -> Iterator[Wrong]:
     digests = set[frozenset[str]]()
     hosts = set[str]()
     for name, facts in told.items():
-        called = name_of(*name.split("/"))
+        called = agent_name(name)
         host = placed.get(called) or facts.host
         hosts.add(host)
         digests.add(frozenset(f"{section.name} {section.digest}" for section in facts.rig_sections))

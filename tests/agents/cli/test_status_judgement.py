@@ -17,7 +17,7 @@ from agents.diagnostics.status.gathered import ArmHeard, Gathered, expected_rate
 from agents.diagnostics.status.health_watch import STARTING, Fare, span_of
 from agents.diagnostics.status.judgement import judge
 from agents.diagnostics.status.report import document, report, watched
-from agents.diagnostics.status.watch import StatusWatch, against_use
+from agents.diagnostics.status.watch import against_use, late_since
 from schemas.messages import (
     ExecutionEvent,
     ExecutionKind,
@@ -185,11 +185,10 @@ def test_a_link_that_carries_too_little_for_a_while_is_named():
     # after a break, the rates of both ends are of different times; what is left out for newer ones crossed the link
     assert links(rate_hz=29.0) == links(host="video") == links(for_s=2.0) == []
     assert links(leaves_out=frozenset({"camera/frames"})) == []
-    watch, late = object.__new__(StatusWatch), (filming(30.0, placed="video"), seeing(9.0, placed="desk"))
-    watch._rates, watch._late_since = RATES, None
     # at the first look nobody knows since when, and a rig is not looked at right after a break
-    for fares, lasts in ((late, True), (late[:1], None), (late, False)):
-        assert [for_s > 6.0 for for_s in watch._late_s(fares).values()] == ([] if lasts is None else [lasts])
+    assert late_since(None, [("video", "desk")], now_s=9.0) == {("video", "desk"): 0.0}
+    assert late_since({}, [("video", "desk")], now_s=9.0) == {("video", "desk"): 9.0}
+    assert late_since({("video", "desk"): 9.0}, [("video", "desk")], now_s=11.0) == {("video", "desk"): 9.0}
 
 
 def test_inputs_tell_what_was_lost_unreadable_or_old():
