@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agents.cli.demo.report import report
-from agents.cli.live.attempts import Attempts, attempts_on
+from agents.cli.live.attempts import Attempts, attempts_on, awaited
 from agents.cli.live.command import percent, plan_sentence
 from agents.cli.live.options import Demo
 from agents.cli.live.up import FIRST_CONTACT_S, start_all, write_config
@@ -255,9 +255,7 @@ def _verdict(story: Story, plan_id: str, stood: Stood) -> GraspJudgement:
         raise DemoError(f"the arm was not armed: {stood.answer.reason}")
     if stood.end is None or stood.end.kind is not ExecutionKind.FINISHED:
         raise DemoError(stood.left or (event_told(stood.end) if stood.end else "the grasp was not finished"))
-    deadline_s = monotonic_s() + VERDICT_S
-    while (left_s := deadline_s - monotonic_s()) > 0:
-        verdict = story.verdicts.next(left_s)
-        if isinstance(verdict, GraspJudgement) and verdict.plan_id == plan_id:
-            return verdict
-    raise DemoError("the simulator gave no verdict")
+    verdict = awaited(story.verdicts, GraspJudgement, VERDICT_S, lambda verdict: verdict.plan_id == plan_id)
+    if verdict is None:
+        raise DemoError("the simulator gave no verdict")
+    return verdict

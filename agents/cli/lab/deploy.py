@@ -34,7 +34,7 @@ def run(options: Deploy) -> int:
         # it needs what nobody else does: namespaces, emulated consoles
         from agents.cli.lab.rehearsal.rehearse import rehearse
 
-        return rehearse(options, rig, layout_of)
+        return rehearse(options, rig)
     if options.action == "plan":
         return _plan(options, rig, layout)
     return _certificates(options, layout)

@@ -21,6 +21,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+from agents.cli.lab.deploy import layout_of
 from agents.cli.lab.options import Deploy
 from agents.cli.lab.rehearsal.network import CannotError, Network, connected_hosts
 from agents.cli.lab.rehearsal.processes import Processes, faketime
@@ -175,7 +176,7 @@ class Rehearsal:
         return None
 
 
-def rehearse(options: Deploy, rig: RigConfig, layout_of: Callable[[RigConfig], Layout]) -> int:
+def rehearse(options: Deploy, rig: RigConfig) -> int:
     """Rehearse a rig; the exit status is 1 where it did not come up, or did not recover.
 
     Raises:
