@@ -4,7 +4,6 @@ import contextlib
 import logging
 import sys
 import threading
-from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
@@ -87,10 +86,7 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
     for note in (*viewer.notes, *told):
         say(note)
     viewer.show(between(read_recording(recording), from_s, to_s))
-    progress = _Progress(viewer, size, began_s)
-    while not (viewer.finished.wait(LOOK_S) or stopped.is_set() or viewer.window_closed):
-        progress.tell()
-    progress.end()
+    _follow(viewer, size, began_s, stopped)
     cut_short = "" if viewer.finished.is_set() else "the window was closed" if viewer.window_closed else "stopped"
     if viewer.served and not cut_short:
         say("all of it is on the page, which is served until Ctrl-C")
@@ -169,43 +165,28 @@ def _told(error: Exception, recording: Path) -> str:
     return str(error)
 
 
-@dataclass
-class _Progress:
-    """Tells how far a recording was read.
+def _follow(viewer: RecordedViewer, size: int, began_s: float, stopped: threading.Event) -> None:
+    """Tell how far a recording of so many bytes was read, until all is shown, or nobody looks any more.
 
-    Fields:
-        size: of the recording, in bytes; images hardly shrink in it, so payloads tell how much of it was read.
+    Images hardly shrink in a file, so payloads tell how much of it was read.
     """
+    on_terminal, told_s, pictured, over = sys.stdout.isatty(), 0.0, False, False
+    while not over:
+        over = viewer.finished.wait(LOOK_S) or stopped.is_set() or viewer.window_closed
+        took_s = monotonic_s() - began_s
+        if viewer.first_picture.is_set() and not pictured:
+            pictured = True
+            _line(f"the first picture came after {took_s:.1f} s", "\n")
+        if not over and (on_terminal or took_s - told_s > PROGRESS_S):
+            told_s, share = took_s, min(0.99, viewer.showed / max(size, 1))
+            _line(f"about {share:.0%} read, {1e-6 * viewer.showed:.0f} MB in {took_s:.0f} s", "")
+    if on_terminal:
+        show("")
 
-    viewer: RecordedViewer
-    size: int
-    began_s: float
-    told_s: float = 0.0
-    first_told: bool = False
 
-    def tell(self) -> None:
-        """A line, if it is time for one."""
-        if self.viewer.first_picture.is_set() and not self.first_told:
-            self.first_told = True
-            self._line(f"the first picture came after {monotonic_s() - self.began_s:.1f} s", last=True)
-        now_s = monotonic_s()
-        if sys.stdout.isatty() or now_s - self.told_s > PROGRESS_S:
-            self.told_s = now_s
-            self._line(self._sentence(), last=False)
-
-    def end(self) -> None:
-        """Leave the line that was kept up to date."""
-        if self.viewer.first_picture.is_set() and not self.first_told:
-            self.tell()
-        if sys.stdout.isatty():
-            show("")
-
-    def _sentence(self) -> str:
-        share = min(0.99, self.viewer.showed / max(self.size, 1))
-        return f"about {share:.0%} read, {1e-6 * self.viewer.showed:.0f} MB in {monotonic_s() - self.began_s:.0f} s"
-
-    def _line(self, text: str, last: bool) -> None:
-        if sys.stdout.isatty():
-            print(f"\r\x1b[K{text}", end="\n" if last else "", flush=True)
-        else:
-            say(text)
+def _line(text: str, end: str) -> None:
+    """Say it; on a terminal in place of the line before."""
+    if sys.stdout.isatty():
+        print(f"\r\x1b[K{text}", end=end, flush=True)
+    else:
+        say(text)
