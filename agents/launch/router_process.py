@@ -2,10 +2,9 @@
 
 import contextlib
 import logging
-import threading
 
 from agents.configuration.rig import RigConfig
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, stopping
 from shared.runtime.access import access_control
 from shared.runtime.config import ConfigError
 from shared.runtime.delivery import RouterLinks
@@ -19,8 +18,7 @@ LOG = logging.getLogger("suturegrasp.router.main")
 
 def run_router(rig: RigConfig) -> int:
     """Run a router until it is told to stop; the exit status."""
-    stopped = threading.Event()
-    on_stop(stopped.set, for_sure=True)
+    stopped = stopping(for_sure=True)
     with contextlib.ExitStack() as stack:
         stack.callback(LOGGER.removeHandler, log_to_console())
         if rig.security is not None:

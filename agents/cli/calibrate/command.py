@@ -1,6 +1,5 @@
 """`suturegrasp calibrate stereo | check`: a calibration from views of a board, and what one is worth."""
 
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from agents.cli.calibrate.page import write_report
 from agents.cli.calibrate.views import Seen, views_in_folders, views_of_camera
 from agents.cli.places import check_folder
 from agents.configuration.rig import RigConfig
-from agents.launch.process import EXIT_OK, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from schemas.messages import Judgement, Severity
 from shared.calibration import CalibrationError, read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
@@ -81,8 +80,7 @@ def _unlike_eyes(fault: Judgement) -> str:
 def _live(rig: RigConfig, options: Calibrate, board: Board, output: Path) -> Seen:
     if any((options.left, options.right, options.stereo)):
         raise UsageError("--live takes frames of the camera; leave --left, --right and --stereo out")
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     say("show the board to both eyes, and move it to where the lines below say; Ctrl-C ends it with what there is")
     with connected(rig.session) as connection:
         seen = views_of_camera(connection, board, output, options.views, stopped)

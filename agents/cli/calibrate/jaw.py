@@ -9,7 +9,7 @@ from agents.cli.calibrate.options import Jaw
 from agents.cli.places import check_new
 from agents.cli.recordings.arm_states import arm_states
 from agents.configuration.this_host import rig_of
-from agents.launch.process import EXIT_OK, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from agents.robot_bridge import jaw as bridge
 from schemas.checks import MessageError
 from schemas.codec import decode
@@ -94,8 +94,7 @@ def instrument_of(states: Iterable[RobotState], named: str) -> str:
 
 
 def _heard(options: Jaw) -> list[RobotState]:
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     with connected(rig_of(options.config, options.host).session, None, stopped) as connection:
         say("open the jaw wide, wait a moment, and close it until it presses, slowly, by the console; Ctrl-C ends this")
         return listened(connection, options, stopped)

@@ -12,7 +12,7 @@ from agents.cli.experiment.terminal import LeftError, Nobody, Person, outcome_se
 from agents.cli.experiment.trial import ExperimentError, Rig, carried_out
 from agents.cli.whole_file import whole_file
 from agents.configuration.rig import RigConfig
-from agents.launch.process import EXIT_OK, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from agents.rig_trials.journal import THREAD, Journal, Protocol
 from agents.rig_trials.results import document, results_of
 from agents.rig_trials.table import page
@@ -106,8 +106,7 @@ def report(folder: Path, journal: Journal) -> int:
 
 def _tried(rig: RigConfig, options: Experiment, folder: Path, journal: Journal) -> int:
     """Try what is left, thread by thread."""
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     kept = _Kept(folder, journal)
     try:
         for thread in journal.protocol.threads:

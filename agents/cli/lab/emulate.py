@@ -15,7 +15,7 @@ from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
 from agents.dvrk_emulator.geometry import JAW_LIMITS
 from agents.dvrk_emulator.oracle import Field, Oracle
 from agents.dvrk_emulator.wire import BridgeWire, RmwWire
-from agents.launch.process import EXIT_OK, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from shared.clock import monotonic_s
 from shared.runtime.connection import NoRouterError, open_when_there
 from shared.runtime.session import Session, SessionSettings, open_from, open_router
@@ -30,8 +30,7 @@ SENT_S = 0.2
 
 def run(options: Emulate) -> int:
     """Emulate until stopped; the exit status."""
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     oracles = {
         arm: Oracle(_field(options.camera, arm), hears_heartbeats=options.heartbeats is not None)
         for arm in options.arm.split(",")

@@ -2,7 +2,6 @@
 
 import math
 import shlex
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -17,7 +16,7 @@ from agents.cli.live.options import (
 )
 from agents.cli.live.pull import EXIT_REFUSED, stand_by_pull
 from agents.configuration.rig import RigConfig
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, stopping
 from agents.operator.operator import (
     Stood,
     arm_and_stand_by,
@@ -106,8 +105,7 @@ def arm(rig: RigConfig, options: ArmPlan) -> int:
     """
     if not options.plan or options.attempts < 1:
         return complain("give the id of a plan, as goal prints it, and at least one attempt", EXIT_UNUSABLE)
-    stopped, plan_id = threading.Event(), options.plan
-    on_stop(stopped.set)
+    stopped, plan_id = stopping(), options.plan
     bounds = options.pull_mm, options.pull_seconds, options.pull_within_mm
     if any(bound is not None for bound in bounds):
         return stand_by_pull(rig, options, stopped)

@@ -18,7 +18,7 @@ from agents.diagnostics.status.health_watch import SILENT_S
 from agents.diagnostics.status.judgement import judge
 from agents.diagnostics.status.report import document, report
 from agents.diagnostics.status.watch import StatusWatch
-from agents.launch.process import EXIT_OK, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.connection import ROUTER_WAIT_S, NoRouterError, connected
 from shared.terminal import show
@@ -38,8 +38,7 @@ def status(rig: RigConfig, options: RigStatus) -> int:
     """Show how the rig fares until stopped or nobody reads it; or once, with an exit status for all being well."""
     if options.once or not (options.json or sys.stdout.isatty()):
         return _once(rig, options)
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     with _emitting(options.json) as emit, contextlib.ExitStack() as stack:
         watch = None
         while not stopped.wait(EVERY_S):

@@ -17,7 +17,7 @@ from agents.diagnostics.status.gathered import expected_rates
 from agents.diagnostics.status.health_watch import HealthWatch, name_of
 from agents.diagnostics.status.report import watched
 from agents.launch.preflight import already_running, in_the_way
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, stopping
 from agents.launch.session_folder import SessionFolder, new_session_folder
 from agents.launch.supervisor import Change, Role, Supervisor, last_line, supervised
 from schemas.topics import MAIN
@@ -85,8 +85,7 @@ def start_recorder(supervisor: Supervisor, rig: RigConfig, folder: SessionFolder
 
 def up(rig: RigConfig, options: Up) -> int:
     """Run until stopped; a live table on a terminal, lines elsewhere."""
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     with (
         started(rig, options.restart) as supervisor,
         connected(reading_session(rig), FIRST_CONTACT_S, stopped) as connection,

@@ -24,7 +24,7 @@ from agents.diagnostics.status.judgement import judge
 from agents.diagnostics.status.watch import StatusWatch
 from agents.launch.audit import audit_of
 from agents.launch.host_facts import telling
-from agents.launch.process import EXIT_OK, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from agents.launch.supervisor import Supervisor
 from agents.operator.desk import Desk
 from agents.operator.page_server import Access, server_tls, serving
@@ -47,8 +47,7 @@ SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 def run(rig: RigConfig, options: Page) -> int:
     """Serve until stopped; the exit status."""
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     tls = _tls(rig, options.listen)
     begun = started(rig, restart=True) if options.start else contextlib.nullcontext()
     within_s = FIRST_CONTACT_S if options.start else ROUTER_WAIT_S

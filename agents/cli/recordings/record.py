@@ -16,7 +16,7 @@ from agents.cli.recordings.one_after_another import Recordings
 from agents.configuration.hosts import kind_and_instance
 from agents.configuration.rig import RecorderSection, RigConfig
 from agents.launch.host_facts import telling, told_without
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, stopping
 from agents.launch.session_folder import free_path
 from agents.launch.supervisor import SUPERVISED
 from agents.recorder.intake import DiskGuard
@@ -71,9 +71,8 @@ def record(rig: RigConfig, options: Record) -> int:
     section = section_of(rig, options)
     settings = settings_of(section)
     check_new(path)
-    stopped = threading.Event()
     asks_at_terminal = settings.pre_trigger is not None and SUPERVISED not in os.environ and sys.stdin.isatty()
-    on_stop(stopped.set, for_sure=True)
+    stopped = stopping(for_sure=True)
     if problem := _no_room(DiskGuard(path.parent, settings.keep_free_bytes), stopped if options.numbered else None):
         return complain(problem, EXIT_UNUSABLE)
 

@@ -11,7 +11,7 @@ from agents.cli.live.options import View
 from agents.cli.places import check_new
 from agents.configuration.rig import RigConfig
 from agents.launch.host_facts import telling, told_without
-from agents.launch.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
+from agents.launch.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, step_back, stopping
 from agents.launch.session_folder import free_path
 from agents.replay.contents import moment_ns
 from agents.viewer.live import LiveViewer, ViewerReport
@@ -36,8 +36,7 @@ NO_FILE = "--show file needs a file: give --output NAME.rrd"
 def view(rig: RigConfig, options: View) -> int:
     """Show a recording, where one is named, or else the rig; the exit status."""
     output = free_path(options.output) if options.numbered and options.output else options.output
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     if output is not None:
         check_new(output)
     if options.recording is not None:

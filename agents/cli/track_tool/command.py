@@ -2,7 +2,6 @@
 
 import csv
 import json
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from agents.cli.places import check_new
 from agents.cli.recordings.options import TrackTool
 from agents.cli.track_tool.input import Seen, seen_in, seen_live
 from agents.configuration.this_host import rig_of
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, stopping
 from agents.tool_tracker.correction import Correction
 from agents.tool_tracker.outline import outline
 from agents.tool_tracker.refinement import View
@@ -54,8 +53,7 @@ def _seen(options: TrackTool) -> Iterator[Seen]:
     if options.recording is not None:
         yield from seen_in(options.recording, options.arm, options.delay_ms)
         return
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     with connected(rig_of(options.config, options.host).session) as connection:
         yield from seen_live(connection, options.arm, options.delay_ms, stopped)
 
