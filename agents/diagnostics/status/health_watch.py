@@ -39,7 +39,6 @@ class Fare:
         restarted_s: since it was last heard to have begun anew, or was first heard.
         expected: whether the rig's configuration has it; and on which of its hosts, empty where that is not told.
         refused_s: since it was seen to refuse a message, or was first heard.
-        refusing: whether it was seen to refuse one.
         leaves_out: the inputs of which it left out messages for newer ones since its health before.
         epoch: of the run that told its health; None where that is not known.
         replayed: whether a replay told it.
@@ -53,7 +52,6 @@ class Fare:
     expected: bool = True
     placed: str = ""
     refused_s: float = 0.0
-    refusing: bool = False
     leaves_out: frozenset[str] = frozenset()
     epoch: int | None = None
     replayed: bool = False
@@ -123,7 +121,6 @@ class HealthWatch:
                 silent_s=now_s,
                 restarts=restarts,
                 refused_s=refused_s,
-                refusing=seen or before.refusing,
                 leaves_out=frozenset(i.topic for i in health.inputs if i.dropped > known.get(i.topic, 0)),
                 epoch=epoch,
                 restarted_s=now_s if began or before.health is None else before.restarted_s,
