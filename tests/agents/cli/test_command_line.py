@@ -1,6 +1,7 @@
 """Commands, options and streams: every mistake is one line, help is there, and no stream is a surprise."""
 
 import dataclasses
+import importlib
 import json
 import re
 import shutil
@@ -10,6 +11,7 @@ import sys
 import pytest
 
 from agents.cli.commands import COMMANDS, loaded
+from agents.cli.main import TOLD
 from schemas import __version__
 from tests.agents.cli.conftest import SCRIPT, of_pair, refused
 
@@ -78,6 +80,11 @@ def test_a_mistake_is_told_in_one_line(suturegrasp, monkeypatch, tmp_path, argum
     refused(ended, told)
     assert ended.err.rstrip("\n").isprintable()
     assert not list(tmp_path.iterdir())
+
+
+def test_every_error_that_is_told_in_one_line_is_one():
+    for module, name in TOLD:
+        assert issubclass(getattr(importlib.import_module(module), name), Exception)
 
 
 @pytest.mark.slow
