@@ -3,14 +3,14 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from rich.console import Console
 from rich.table import Table
 
 from agents.cli.on_rig import OptionalPath
+from agents.cli.progress import printed
 from agents.cli.whole_file import whole_file
 from agents.registry import AGENTS, Kind
 from schemas.topics import ANY_AGENT, TOPICS, Delivery, Topic
-from shared.terminal import say, show
+from shared.terminal import say
 
 WIDTH = 110
 BESIDE = "the viewer hears all of it, and so does the recorder but for what the table of topics says it leaves out"
@@ -38,11 +38,7 @@ class Said:
 
 def run(options: Graph) -> int:
     """Print the table, and draw where asked to; the exit status."""
-    console = Console(width=WIDTH, color_system=None)
-    with console.capture() as capture:
-        console.print(_table())
-    for line in capture.get().splitlines():
-        show(line.rstrip())
+    printed(_table(), WIDTH)
     say(BESIDE)
     if options.output is not None:
         with whole_file(options.output) as unfinished:

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.live import Live
 
 from agents.cli.live.options import RigStatus
+from agents.cli.progress import printed
 from agents.configuration.reading_session import reading_session
 from agents.configuration.rig import RigConfig
 from agents.configuration.topics import overrides
@@ -62,7 +63,7 @@ def _once(rig: RigConfig, options: RigStatus) -> int:
     if options.json:
         show(json.dumps(document(gathered, wrongs)))
     else:
-        _print(Console(width=None if sys.stdout.isatty() else PAGE_COLUMNS), gathered)
+        printed(report(gathered, wrongs), None if sys.stdout.isatty() else PAGE_COLUMNS)
     return EXIT_WRONG if any(wrong.grave for wrong in wrongs) else EXIT_OK
 
 
@@ -94,10 +95,3 @@ def _emitting(as_json: bool) -> Generator[Emit]:
             return True
 
         yield update
-
-
-def _print(console: Console, gathered: Gathered) -> None:
-    with console.capture() as capture:
-        console.print(report(gathered, judge(gathered)))
-    for line in capture.get().splitlines():
-        show(line.rstrip())
