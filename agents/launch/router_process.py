@@ -9,7 +9,7 @@ from shared.runtime.access import access_control
 from shared.runtime.config import ConfigError
 from shared.runtime.delivery import RouterLinks
 from shared.runtime.process import serving
-from shared.runtime.session import RefusedLinks, RouterError, Session, open_router
+from shared.runtime.session import RefusedLinks, RouterError, open_router
 from shared.runtime.taps import logs_published
 from shared.terminal import complain
 
@@ -24,7 +24,10 @@ def run_router(rig: RigConfig) -> int:
         if rig.security is not None:
             stack.enter_context(contextlib.closing(RefusedLinks(LOG.warning)))
         try:
-            session = stack.enter_context(open_rig_router(rig))
+            identity = rig.identity_of("router")
+            # with certificates, each may do what is its own and nothing else
+            access = None if identity is None else access_control(rig.rig, rig.common_names(), rig.sites)
+            session = stack.enter_context(open_router(rig.router_endpoint, identity, access, rig.sites.connect))
         except (RouterError, ConfigError) as error:
             stack.close()
             return complain(str(error), EXIT_UNUSABLE)
@@ -33,15 +36,3 @@ def run_router(rig: RigConfig) -> int:
         with serving():
             stopped.wait()
     return EXIT_OK
-
-
-def open_rig_router(rig: RigConfig) -> Session:
-    """The router of a rig; with certificates, each may do what is its own and nothing else.
-
-    Raises:
-        RouterError: where its endpoint cannot be listened on.
-        IdentityError: where its certificate cannot be used.
-    """
-    identity = rig.identity_of("router")
-    access = None if identity is None else access_control(rig.rig, rig.common_names(), rig.sites)
-    return open_router(rig.router_endpoint, identity, access, rig.sites.connect)

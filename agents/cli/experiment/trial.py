@@ -169,12 +169,8 @@ def _plan(trial: Trial, rig: Rig) -> GraspPlan | str:
         answer, plan = ask_for_grasp(rig.connection, rig.arm, POLICIES[trial.policy], s=trial.s)
         if plan is not None:
             return plan if plan.status is Status.OK else plan.reason
-        why = _said(answer)
+        why = answer.reason or "the goal was accepted and no plan followed; look at the planner's log"
     raise ExperimentError(f"no plan was made within {PATIENCE_S:.0f} s: {why}")
-
-
-def _said(answer: CommandAnswer) -> str:
-    return answer.reason or "the goal was accepted and no plan followed; look at the planner's log"
 
 
 def _wait_for_thread(rig: Rig, from_ns: int, deadline_s: float) -> str:

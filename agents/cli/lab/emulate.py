@@ -116,13 +116,10 @@ def _field(path: Path | None, arm: str) -> Field | None:
     if path is None:
         return None
     try:
-        T = np.array(_of(json.loads(path.read_text()), arm)["T_camera_base"], np.float64)
-    except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        told = json.loads(path.read_text())
+        T = np.array(told.get(arm, told)["T_camera_base"], np.float64)
+    except (AttributeError, KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{path} is no JSON with T_camera_base: {error}") from None
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise UsageError(f"T_camera_base of {path} is not 4x4 and finite")
     return Field(T)
-
-
-def _of(told: Any, arm: str) -> Any:
-    return told[arm] if isinstance(told, dict) and arm in told else told

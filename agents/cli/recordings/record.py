@@ -79,7 +79,7 @@ def record(rig: RigConfig, options: Record) -> int:
     def begun(path: Path) -> Recorder:
         return Recorder(path, settings=settings, notes=notes_of(rig, section), attached=attached_to(rig), tell=_tell)
 
-    own = f"{key_root(rig.rig, _instance(rig), KIND)}/"
+    own = f"{key_root(rig.rig, kind_and_instance(KIND, rig.host or MAIN)[1], KIND)}/"
     recordings = Recordings(path, begun, DiskGuard(path.parent, settings.keep_free_bytes), LOGGER, own)
     signal.signal(signal.SIGUSR1, lambda *_: recordings.trigger(ASKED))
     if asks_at_terminal:
@@ -119,7 +119,7 @@ def _record_all(
     rig: RigConfig, connection: Connection, recordings: Recordings, folder: Path, stopped: threading.Event
 ) -> None:
     """Until stopped; what is told of it is told on the rig too."""
-    recording = (connection, recorded_topics(rig), stopped, _say_end)
+    recording = (connection, recorded_topics(rig), stopped, lambda report: say(recording_sentence(report)))
     with telling(connection, rig, KIND, LOGGER, lambda: recordings.fault, writes_to=folder):
         thread = threading.Thread(target=recordings.run, args=recording, name="recordings")
         thread.start()
@@ -127,18 +127,10 @@ def _record_all(
         thread.join()
 
 
-def _instance(rig: RigConfig) -> str:
-    return kind_and_instance(KIND, rig.host or MAIN)[1]
-
-
 def _tell(sentence: str) -> None:
     """Say it here and on the rig."""
     say(sentence)
     LOGGER.warning(sentence)
-
-
-def _say_end(report: RecordingReport) -> None:
-    say(recording_sentence(report))
 
 
 def recorded_topics(rig: RigConfig) -> tuple[Topic, ...]:

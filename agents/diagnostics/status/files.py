@@ -32,13 +32,10 @@ def judge_files(gathered: Gathered) -> Iterator[Wrong]:
         yield Wrong("file", HERE, f"{text}; take theirs, or restart them if they began before it was changed")
         return
     for (host, apart), names in others.items():
+        them = "it" if len(names) == 1 else "them"
         text = f"{listed(names)} on {host} began with another file of the rig than the one here, and they differ in"
-        yield Wrong("file", host, f"{text} {_sections(apart)}; take the right one there and restart {_them(names)}")
+        yield Wrong("file", host, f"{text} {_sections(apart)}; take the right one there and restart {them}")
 
 
 def _sections(names: tuple[str, ...]) -> str:
     return listed("the rig's name" if name == "rig" else f"[{name}]" for name in names)
-
-
-def _them(names: list[str]) -> str:
-    return "it" if len(names) == 1 else "them"
