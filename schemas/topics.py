@@ -95,8 +95,6 @@ class Topic:
         made_from: the topic whose message it is made of, so that both descend from one frame; None where there is none.
         every_frame: whether it comes with each frame, and so as often as the camera films.
         steady: whether it comes at its rate for as long as its agent runs; else while there is something to say.
-        typical_bytes: of a message of the simulated field, 960x540, in docs/example/session.mcap; 0 where all of them
-            together weigh next to nothing (docs/performance.md).
         never_later: whether an arm that moves is held or watched by it, so that no rig may have it wait.
     """
 
@@ -117,7 +115,6 @@ class Topic:
     made_from: "Topic | None" = None
     every_frame: bool = False
     steady: bool = True
-    typical_bytes: int = 0
 
     def __str__(self) -> str:
         return f"{self.agent}/{self.name}"
@@ -133,7 +130,6 @@ FRAMES = Topic(
     # bulky: whatever else the camera tells goes first
     priority=Priority.DATA_LOW,
     every_frame=True,
-    typical_bytes=84_949,
 )
 FRAME_NOTICE = Topic(
     "camera",
@@ -155,7 +151,6 @@ OBSERVATIONS = Topic(
     maximum_age_ms=1000,
     made_from=FRAMES,
     every_frame=True,
-    typical_bytes=110_685,
 )
 SURFACE = Topic(
     "perception",
@@ -166,7 +161,6 @@ SURFACE = Topic(
     maximum_age_ms=3000,
     made_from=FRAMES,
     steady=False,
-    typical_bytes=8_745,
 )
 NEEDLE_SEEN = Topic(
     "perception",
@@ -177,7 +171,6 @@ NEEDLE_SEEN = Topic(
     maximum_age_ms=3000,
     made_from=FRAMES,
     steady=False,
-    typical_bytes=45_000,
 )
 TOOL = Topic(
     "tool_tracker",
@@ -189,7 +182,6 @@ TOOL = Topic(
     per_arm=True,
     made_from=FRAMES,
     steady=False,
-    typical_bytes=500,
 )
 THREAD = Topic(
     "reconstruction",
@@ -200,7 +192,6 @@ THREAD = Topic(
     maximum_age_ms=1000,
     made_from=OBSERVATIONS,
     every_frame=True,
-    typical_bytes=34_694,
 )
 NEEDLE = Topic(
     "needle",
@@ -253,12 +244,9 @@ ROBOT_STATE = Topic(
     maximum_age_ms=100,
     per_arm=True,
     never_later=True,
-    typical_bytes=526,
 )
 EXECUTION = Topic("robot_bridge", "execution", ExecutionEvent, Delivery.EVENT, per_arm=True)
-SIMULATOR_STATE = Topic(
-    "simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60, resting_hz=5, typical_bytes=1_498
-)
+SIMULATOR_STATE = Topic("simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60, resting_hz=5)
 JUDGEMENT = Topic("simulator", "judgement", GraspJudgement, Delivery.EVENT)
 REPLAY_CLOCK = Topic("replay", "clock", ReplayClock, Delivery.LATEST, recorded=False)
 COMMANDS = Topic(ANY_AGENT, "command", CommandRecord, Delivery.EVENT)

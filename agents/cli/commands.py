@@ -49,8 +49,8 @@ def _on_rig(does: str, options: str, runs: str, of: str = "") -> Command:
 GROUPS: dict[str, dict[str, Command]] = {
     "to try it": {
         "demo": Command("a simulated grasp from image to judgement", "live.options:Demo", "demo.command:demo"),
-        "play": Command("the simulated field with the operator's page", "page.options:Play", "page.command:run"),
-        "scenes": Command("stereo images of thread with known truth", "lab.scenes_options:Scenes", "lab.scenes:run"),
+        "play": _on_rig("the simulated field with the operator's page", "page.options:Play", "page.command:run"),
+        "scenes": Command("stereo images of thread with known truth", "lab.options:Scenes", "lab.scenes:run"),
         "evaluate": Command(
             "the paper's experiment in simulation", "evaluate.options:Evaluate", "evaluate.command:run"
         ),
@@ -65,7 +65,7 @@ GROUPS: dict[str, dict[str, Command]] = {
             "reconstruct.command:run",
         ),
         "segment": Command(
-            "where an image shows thread, needle, instrument", "segment.options:Segment", "segment.command:run"
+            "where an image shows thread, needle, instrument", "reconstruct.options:Segment", "reconstruct.segment:run"
         ),
         "calibrate": _on_rig(
             "a stereo camera by images of a board, or check one",
@@ -73,10 +73,10 @@ GROUPS: dict[str, dict[str, Command]] = {
             "calibrate.command:calibrate",
         ),
         "calibrate hand-eye": Command(
-            "where an arm's base is before the camera", "calibrate.hand_eye_options:HandEye", "calibrate.hand_eye:run"
+            "where an arm's base is before the camera", "calibrate.options:HandEye", "calibrate.hand_eye:run"
         ),
         "calibrate jaw": Command(
-            "at which angle an instrument's jaw closes", "calibrate.jaw_options:Jaw", "calibrate.jaw:run"
+            "at which angle an instrument's jaw closes", "calibrate.options:Jaw", "calibrate.jaw:run"
         ),
         "track-tool": Command(
             "how far an arm's tool is from where its joints have it",
@@ -100,13 +100,11 @@ GROUPS: dict[str, dict[str, Command]] = {
         ),
         "set": _on_rig("a parameter of a running agent", "live.options:SetInAgent", "live.set:set_parameter"),
         "deploy": Command("what each host needs; rehearse it here", "lab.options:Deploy", "lab.deploy:run"),
-        "emulate": Command(
-            "the computer of a robot, to try without one", "lab.emulate_options:Emulate", "lab.emulate:run"
-        ),
-        "graph": Command("who says what to whom", "graph.options:Graph", "graph.command:run"),
+        "emulate": Command("the computer of a robot, to try without one", "lab.options:Emulate", "lab.emulate:run"),
+        "graph": Command("who says what to whom", "graph:Graph", "graph:run"),
     },
     "a grasp": {
-        "page": Command("the operator's page: see, click, arm, hold", "page.options:Page", "page.command:run"),
+        "page": _on_rig("the operator's page: see, click, arm, hold", "page.options:Page", "page.command:run"),
         "goal": _on_rig("ask for a grasp: where along the thread", "live.options:Goal", "live.command:goal"),
         "pull": _on_rig(
             "pull thread through tissue until its tail is short",

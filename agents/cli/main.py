@@ -2,13 +2,30 @@
 
 import os
 import sys
-from collections.abc import Callable
-from typing import Any
 
 from agents.camera import LARGEST_IMAGE_PIXELS
 from shared.terminal import UsageError, complain, flush_output, open_missing_streams, show
 
 EXIT_OK, EXIT_UNUSABLE, EXIT_INTERRUPTED = 0, 2, 130
+TOLD = (
+    ("shared.terminal", "UsageError"),
+    ("shared.runtime.config", "ConfigError"),
+    ("shared.runtime.connection", "NoRouterError"),
+    ("shared.runtime.session", "RouterError"),
+    ("shared.runtime.replay", "ReplayError"),
+    ("shared.calibration.stated", "CalibrationError"),
+    ("shared.rectification", "RectificationError"),
+    ("shared.recording.entry", "RecordingError"),
+    ("shared.rendering.backdrop_files", "SceneError"),
+    ("agents.camera.image_files", "ImageFileError"),
+    ("agents.deployment.certificates", "AuthorityError"),
+    ("agents.deployment.install", "InstallError"),
+    ("agents.perception.segmentation.promptable_model", "PromptableFileError"),
+    ("agents.replay.contents", "SelectionError"),
+    ("agents.replay.contents", "WindowError"),
+    ("agents.viewer.sinks", "ViewerError"),
+)
+"""Errors whose text is a sentence for whoever typed the command; one whose module is not loaded was not raised."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -26,8 +43,16 @@ def main(arguments: list[str] | None = None) -> None:
             flush_output()
     except KeyboardInterrupt:
         status = complain("interrupted", EXIT_INTERRUPTED)
+    except MemoryError:
+        status = complain("the memory does not suffice for images of this size; give smaller ones", EXIT_UNUSABLE)
     except OSError as error:
-        status = complain(f"the system refused: {error}", EXIT_UNUSABLE)
+        how = "cannot be read" if isinstance(error, FileNotFoundError) else "cannot be read or written"
+        what = f"{error.filename} {how}" if error.filename else "the system refused"
+        status = complain(f"{what}: {error.strerror or error}", EXIT_UNUSABLE)
+    except Exception as error:
+        if not _is_told(error):
+            raise
+        status = complain(str(error), EXIT_UNUSABLE)
     sys.exit(status)
 
 
@@ -49,8 +74,6 @@ def _run(arguments: list[str]) -> int:
     try:
         name, rest = named(arguments)
         options = parsed(name, COMMANDS[name], rest)
-    except UsageError as error:
-        return complain(str(error), EXIT_UNUSABLE)
     except OSError:
         # parsing prints help and does no more, so nobody reads it
         flush_output()
@@ -59,19 +82,13 @@ def _run(arguments: list[str]) -> int:
     try:
         run = loaded(command.runs)
     except ImportError as error:
-        return complain(f"this command cannot be loaded: {error}", EXIT_UNUSABLE)
+        raise UsageError(f"this command cannot be loaded: {error}") from error
     if not command.on_rig:
         return run(options)
-    return _on_rig(run, options)
-
-
-def _on_rig(run: Callable[[Any, Any], int], options: Any) -> int:
-    """Carry out a command on the rig that its options name."""
     from agents.configuration.this_host import rig_of
-    from shared.runtime.config import ConfigError
-    from shared.runtime.connection import NoRouterError
 
-    try:
-        return run(rig_of(options.config, options.host), options)
-    except (ConfigError, NoRouterError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    return run(rig_of(options.config, options.host), options)
+
+
+def _is_told(error: Exception) -> bool:
+    return any(module in sys.modules and isinstance(error, getattr(sys.modules[module], name)) for module, name in TOLD)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -10,6 +10,8 @@ OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER")]
 OptionalName = Annotated[str | None, tyro.conf.arg(metavar="HOST")]
 OptionalLabel = Annotated[str | None, tyro.conf.arg(metavar="ID")]
+Unit = Literal["m", "cm", "mm", "um"]
+OptionalUnit = Annotated[Unit | None, tyro.conf.arg(metavar="{m,cm,mm,um}")]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@ import os
 from collections.abc import Generator
 from pathlib import Path
 
+from shared.terminal import UsageError
 
-class OutputError(OSError):
+
+class OutputError(UsageError):
     """A result that cannot be written; the text names the file and the reason."""
 
 

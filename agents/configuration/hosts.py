@@ -14,7 +14,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, model_validator
 
 from agents.deployment.places import AUTHORITY_FOLDER
-from schemas.topics import ANY_AGENT, MAIN, TOPICS
+from schemas.topics import MAIN
 from shared.runtime.config import Settings, spelled
 
 OPERATOR, ROUTER = "operator", "router"
@@ -100,7 +100,7 @@ def host_fault(hosts: Mapping[str, HostSection], configured: Iterable[str]) -> s
         if name not in configured and name != OPERATOR:
             return f"{_on(hosts, name)} runs {name!r}, {_without_section(name, configured)}"
         if counted[name] > 1 and name not in BESIDE:
-            twice = f"{name!r} runs on {_on(hosts, name)}: {_topic_of(name)} would have two owners"
+            twice = f"{name!r} runs on {_on(hosts, name)}: what it publishes would have two owners"
             return f"{twice}; leave it in the runs of one host"
     if idle := sorted(configured - set(counted)):
         return f"no host runs {idle[0]!r}; put it in the runs of one of {', '.join(hosts)}"
@@ -123,10 +123,3 @@ def _without_section(name: str, configured: set[str]) -> str:
 
 def _on(hosts: Mapping[str, HostSection], name: str) -> str:
     return " and ".join(host for host, section in hosts.items() for run in section.runs if run == name)
-
-
-def _topic_of(name: str) -> str:
-    kind, instance = kind_and_instance(name)
-    own = next((topic for topic in TOPICS if topic.agent == kind), None)
-    own = own or next(topic for topic in TOPICS if topic.agent == ANY_AGENT)
-    return f"the topic {kind}/{instance}/{own.name}"

@@ -7,6 +7,7 @@ it; every agent reads the same file.
 import dataclasses
 import importlib
 import itertools
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from pydantic import Field, create_model, field_validator, model_validator
@@ -237,6 +238,11 @@ class _Rig(Settings):
         if name == "router":
             return self.router.start and (not self.hosts or self.router.host == self.host)
         return name in self.processes() and (self.host is None or name in self.hosts[self.host].runs)
+
+    @property
+    def sessions(self) -> Path:
+        """Where a session's files lie, in a folder of its own."""
+        return self.recorder.folder if self.recorder is not None else Path("sessions")
 
     @property
     def realtime_here(self) -> bool:

@@ -23,16 +23,11 @@ def rig_of(config: Path | None, host: str | None) -> RigConfig:
     Raises:
         ConfigError: where its configuration cannot be used.
     """
-    file = config or configured_file()
+    named = os.environ.get(CONFIG)
+    file = config or (Path(named) if named else None)
     if file is None:
         return simulated_rig()
     return certificates_of(at_host(load_config(file, RigConfig), host), file)
-
-
-def configured_file() -> Path | None:
-    """The rig's file that this user's environment names, if it does."""
-    named = os.environ.get(CONFIG)
-    return Path(named) if named else None
 
 
 def at_host(rig: RigConfig, named: str | None) -> RigConfig:

@@ -24,11 +24,11 @@ IMAGE_USER = 7447
 
 def compose_file(rig: str, host: Host, calibration: str = "") -> str:
     """The Compose file of a host, in YAML; `calibration` is where the camera's lies beside the rig's file."""
-    services = {_service_name(p): _service(host, p, calibration) for p in host.processes if p.kind not in NOT_OURS}
+    ours = [process for process in host.processes if process.kind not in NOT_OURS]
+    services = {p.common_name.replace(".", "-"): _service(host, p, calibration) for p in ours}
     secrets = {
         file: {"file": f"./certificates/{file}"}
-        for p in host.processes
-        if p.kind not in NOT_OURS
+        for p in ours
         for file in (AUTHORITY_FILE, f"{p.common_name}.pem", f"{p.common_name}.key")
     }
     document = {
@@ -87,10 +87,6 @@ def _service(host: Host, process: Process, calibration: str) -> dict[str, Any]:
         service["cap_add"] = ["SYS_NICE"]
         service["ulimits"] = {"rtprio": REALTIME_PRIORITY}
     return service
-
-
-def _service_name(process: Process) -> str:
-    return process.common_name.replace(".", "-")
 
 
 def _secret(file: str) -> str:

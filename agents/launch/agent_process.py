@@ -10,7 +10,7 @@ from agents.configuration.hosts import run_name
 from agents.configuration.rig import RigConfig
 from agents.launch.builders import build
 from agents.launch.host_facts import around
-from agents.launch.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop, step_back
+from agents.launch.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, step_back, stopping
 from agents.registry import CAMERA, ROBOT_BRIDGE, Pace, with_pace
 from shared.calibration import CalibrationError
 from shared.calibration.made import made_ns
@@ -44,8 +44,7 @@ def _run(rig: RigConfig, kind: str, instance: str) -> int:
         agent = build(rig, kind, instance)
     except (ConfigError, SourceError, ImageFileError, CalibrationError, SceneError, OSError) as error:
         return complain(str(error), EXIT_UNUSABLE)
-    stopped = threading.Event()
-    on_stop(stopped.set, for_sure=True)
+    stopped = stopping(for_sure=True)
     # before the session is opened, so that its threads have the priority too: the loop waits for them at times
     known = surroundings(rig, kind, instance)
     try:

@@ -13,7 +13,7 @@ from agents.configuration.rig import RigConfig
 
 STATE_DIRECTORY = "STATE_DIRECTORY"
 """Where systemd lets a service write."""
-FOLDER, OTHERWISE = "audit", Path("sessions")
+FOLDER = "audit"
 MODE = 0o640
 
 
@@ -32,7 +32,7 @@ def state_folder(rig: RigConfig, of: Path | None = None) -> Path:
         return Path(kept)
     if of is not None:
         return of.resolve().parent
-    return rig.recorder.folder if rig.recorder is not None else OTHERWISE
+    return rig.sessions
 
 
 class AuditLog:

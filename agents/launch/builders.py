@@ -52,9 +52,22 @@ def _camera(rig: RigConfig, _: str, section: CameraSection) -> Agent:
 
 
 def _perception(rig: RigConfig, _: str, section: PerceptionSection) -> Agent:
-    from agents.launch.perception_builder import built_perception
+    from agents.perception.agent import Perception, PerceptionConfig
+    from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableFiles
 
-    return built_perception(section, rig.needs_matching, rig.section_of(NEEDLE) is not None)
+    files = section.promptable_encoder, section.promptable_decoder
+    hashes = section.promptable_encoder_sha256, section.promptable_decoder_sha256
+    config = PerceptionConfig(
+        segmenter=None if section.segmenter == "auto" else section.segmenter,
+        # unset it is as the method of reconstruction needs it
+        matching=rig.needs_matching if section.matching is None else section.matching,
+        needle=rig.section_of(NEEDLE) is not None,
+        promptable=None if files[0] is None or files[1] is None else PromptableFiles(files[0], files[1], *hashes),
+    )
+    try:
+        return Perception(config)
+    except PromptableFileError as error:
+        raise ConfigError(f"[perception] {error}") from None
 
 
 def _reconstruction(_: RigConfig, __: str, section: ReconstructionSection) -> Agent:

@@ -1,6 +1,7 @@
 """The agent that shows a rig's images, from their configured source."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from agents.camera.agent import Camera, CameraConfig, SceneCamera
@@ -11,6 +12,8 @@ from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCali
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
 from shared.runtime.agent import Agent
 from shared.runtime.session import SessionSettings
+
+Calibrated = Callable[[str | None, tuple[int, int]], ReadCalibration]
 
 
 def built_camera(section: CameraSection, reached: SessionSettings) -> Agent:
@@ -36,53 +39,50 @@ def built_camera(section: CameraSection, reached: SessionSettings) -> Agent:
             return pair.left_bgr, pair.right_bgr
 
         return SceneCamera(render, lambda state: calibration_of(state.camera), config)
-    if section.source == "plugin":
-        from agents.camera.plugin import PluginSource
-
-        plugin = PluginSource(section.plugin or "", section.options or {})
-        try:
-            return Camera(plugin, _usable(_read_calibration(section, plugin.size())), config)
-        except CalibrationError:
-            plugin.close()
-            raise
-    if section.source == "bag":
-        # reading bags takes as long to load as all else
-        from agents.camera.bag import BagSource
-
-        bag = BagSource(Path(section.left or ""), section.left_topic, section.right_topic, section.loop)
-        size = bag.size()
-        read = _read_calibration(section, size) if section.calibration else bag.calibration(section.unit, size)
-        return Camera(bag, _usable(read), config)
-    if section.source == "ros":
-        from agents.camera.ros import RosSource
-        from agents.launch.guard_process import naming_of
-
-        ros = RosSource(reached, naming_of(section), _topic(section.left_topic), _topic(section.right_topic))
-        size = ros.size()
-        read = _read_calibration(section, size) if section.calibration else ros.calibration(section.unit, size)
-        return Camera(ros, _usable(read), config)
-    source, size = _source(section)
-    return Camera(source, _usable(_read_calibration(section, size)), config)
+    source, size, own = _opened(section, reached)
+    try:
+        path = section.calibration or Path()
+        read = own(section.unit, size) if own is not None and section.calibration is None else None
+        return Camera(source, _usable(read or read_calibration(path, unit=section.unit, image_size=size)), config)
+    except CalibrationError:
+        source.close()
+        raise
 
 
-def _topic(name: str | None) -> str:
-    """As keys have it, where ROS writes a slash before it."""
-    return (name or "").strip("/")
-
-
-def _source(section: CameraSection) -> tuple[Source, tuple[int, int]]:
-    """The source, and the width and height of one eye's image."""
+def _opened(section: CameraSection, reached: SessionSettings) -> tuple[Source, tuple[int, int], Calibrated | None]:
+    """The source, the width and height of one eye's image, and what reads a calibration that the source has itself."""
     left, right = section.left or "", section.right
-    if section.source == "pipe":
-        width, height = section.width or 0, section.height or 0
-        stream = sys.stdin.buffer if left == "-" else Path(left).open("rb")  # noqa: SIM115
-        return PipeSource(stream, width, height), (width // 2, height)
-    if section.source == "video":
-        # a device can be opened once only
-        video = VideoSource(left, right)
-        return video, video.size()
-    folders = Path(left), Path(right) if right is not None else None
-    return ImageSource(*folders, loop=section.loop), _size_of_first(ImageSource(*folders, loop=False))
+    match section.source:
+        case "plugin":
+            from agents.camera.plugin import PluginSource
+
+            plugin = PluginSource(section.plugin or "", section.options or {})
+            return plugin, plugin.size(), None
+        case "bag":
+            # reading bags takes as long to load as all else
+            from agents.camera.bag import BagSource
+
+            bag = BagSource(Path(left), section.left_topic, section.right_topic, section.loop)
+            return bag, bag.size(), bag.calibration
+        case "ros":
+            from agents.camera.ros import RosSource
+            from agents.launch.guard_process import naming_of
+
+            # as keys have them, where ROS writes a slash before
+            topics = ((name or "").strip("/") for name in (section.left_topic, section.right_topic))
+            ros = RosSource(reached, naming_of(section), *topics)
+            return ros, ros.size(), ros.calibration
+        case "pipe":
+            width, height = section.width or 0, section.height or 0
+            stream = sys.stdin.buffer if left == "-" else Path(left).open("rb")  # noqa: SIM115
+            return PipeSource(stream, width, height), (width // 2, height), None
+        case "video":
+            # a device can be opened once only
+            video = VideoSource(left, right)
+            return video, video.size(), None
+        case _:
+            folders = Path(left), Path(right) if right is not None else None
+            return ImageSource(*folders, loop=section.loop), _size_of_first(ImageSource(*folders, loop=False)), None
 
 
 def _size_of_first(source: Source) -> tuple[int, int]:
@@ -91,10 +91,6 @@ def _size_of_first(source: Source) -> tuple[int, int]:
     if pair is None:
         raise SourceError("the source gives no frame")
     return pair[0].shape[1], pair[0].shape[0]
-
-
-def _read_calibration(section: CameraSection, size: tuple[int, int]) -> ReadCalibration:
-    return read_calibration(section.calibration or Path(), unit=section.unit, image_size=size)
 
 
 def _usable(read: ReadCalibration) -> StereoCalibration:

@@ -20,7 +20,7 @@ from agents.configuration.sections import CameraSection, DvrkSection
 from agents.guard.__main__ import EXIT_LINK_BROKE
 from agents.launch.audit import AuditError, AuditLog, audit_of
 from agents.launch.host_facts import around
-from agents.launch.process import EXIT_GAVE_UP, EXIT_OK, on_stop
+from agents.launch.process import EXIT_GAVE_UP, EXIT_OK, stopping
 from agents.robot_bridge.limits import PSM_JOINT_SPEEDS, MotionLimits
 from schemas.messages import Heartbeat
 from schemas.topics import HEARTBEAT, key
@@ -60,8 +60,7 @@ def run_guard(rig: RigConfig, arm: str) -> int:
     section = rig.robot[arm].dvrk if arm in rig.robot else None
     if section is None:
         raise ConfigError(f"the configuration has no section [robot.{arm}.dvrk]: there is nothing to guard")
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     own = run_name(KIND, arm)
     document = document_of(rig, arm, section)
     refused = ask_for_realtime(REALTIME_PRIORITY) if rig.realtime_here else ""

@@ -61,6 +61,13 @@ def on_stop(stop: Callable[[], None], for_sure: bool = False) -> None:
         ).start()
 
 
+def stopping(for_sure: bool = False) -> threading.Event:
+    """What is set when this process is told to stop, as `on_stop` has it."""
+    stopped = threading.Event()
+    on_stop(stopped.set, for_sure)
+    return stopped
+
+
 def _noted(*_: object) -> None:
     """Whoever reads what the signal wrote does what is to be done.
 

@@ -2,15 +2,14 @@
 
 import contextlib
 import logging
-import threading
 
 from agents.configuration.rig import RigConfig
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, stopping
 from shared.runtime.access import access_control
 from shared.runtime.config import ConfigError
 from shared.runtime.delivery import RouterLinks
 from shared.runtime.process import serving
-from shared.runtime.session import RefusedLinks, RouterError, Session, open_router
+from shared.runtime.session import RefusedLinks, RouterError, open_router
 from shared.runtime.taps import logs_published
 from shared.terminal import complain
 
@@ -19,14 +18,16 @@ LOG = logging.getLogger("suturegrasp.router.main")
 
 def run_router(rig: RigConfig) -> int:
     """Run a router until it is told to stop; the exit status."""
-    stopped = threading.Event()
-    on_stop(stopped.set, for_sure=True)
+    stopped = stopping(for_sure=True)
     with contextlib.ExitStack() as stack:
         stack.callback(LOGGER.removeHandler, log_to_console())
         if rig.security is not None:
             stack.enter_context(contextlib.closing(RefusedLinks(LOG.warning)))
         try:
-            session = stack.enter_context(open_rig_router(rig))
+            identity = rig.identity_of("router")
+            # with certificates, each may do what is its own and nothing else
+            access = None if identity is None else access_control(rig.rig, rig.common_names(), rig.sites)
+            session = stack.enter_context(open_router(rig.router_endpoint, identity, access, rig.sites.connect))
         except (RouterError, ConfigError) as error:
             stack.close()
             return complain(str(error), EXIT_UNUSABLE)
@@ -35,15 +36,3 @@ def run_router(rig: RigConfig) -> int:
         with serving():
             stopped.wait()
     return EXIT_OK
-
-
-def open_rig_router(rig: RigConfig) -> Session:
-    """The router of a rig; with certificates, each may do what is its own and nothing else.
-
-    Raises:
-        RouterError: where its endpoint cannot be listened on.
-        IdentityError: where its certificate cannot be used.
-    """
-    identity = rig.identity_of("router")
-    access = None if identity is None else access_control(rig.rig, rig.common_names(), rig.sites)
-    return open_router(rig.router_endpoint, identity, access, rig.sites.connect)

@@ -11,7 +11,8 @@ from typing import Any
 
 from agents.operator.control import ASKED_S, Control, Stage
 from agents.operator.screen import Screen
-from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState, ToolCorrection, ToolStatus
+from schemas.messages import ExecutionEvent, RobotMode, RobotState, ToolCorrection, ToolStatus
+from shared.execution_words import event_told
 
 STALE_S = 1.0
 OLD_PLAN_S = 25.0
@@ -122,19 +123,7 @@ def tool_words(tool: ToolCorrection, corrected: bool) -> str:
 
 def event_words(event: ExecutionEvent) -> str:
     """An event of an execution."""
-    match event.kind:
-        case ExecutionKind.ACCEPTED:
-            return f"{event.arm} is armed."
-        case ExecutionKind.PHASE_REACHED:
-            return f"{event.arm}: {event.phase.name.lower() if event.phase else 'next phase'} done."
-        case ExecutionKind.SEGMENT_ENDED:
-            return f"{event.arm} rests, until its next segment is planned from a fresh image."
-        case ExecutionKind.FINISHED:
-            return f"{event.arm} has finished."
-        case ExecutionKind.REFUSED:
-            return f"{event.arm} refused ({event.code}): {event.reason}."
-        case ExecutionKind.HELD:
-            return f"{event.arm} holds ({event.code}): {event.reason}."
+    return f"{event_told(event)}."
 
 
 def _percent(s: float | None) -> str:

@@ -1,16 +1,15 @@
 """`suturegrasp calibrate stereo | check`: a calibration from views of a board, and what one is worth."""
 
-import threading
 from pathlib import Path
 
 import numpy as np
 
-from agents.camera.image_files import ImageFileError
 from agents.cli.calibrate.options import Calibrate
 from agents.cli.calibrate.page import write_report
 from agents.cli.calibrate.views import Seen, views_in_folders, views_of_camera
+from agents.cli.places import check_folder
 from agents.configuration.rig import RigConfig
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from schemas.messages import Judgement, Severity
 from shared.calibration import CalibrationError, read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
@@ -33,24 +32,13 @@ ROWS_LIMIT_PX, SQUARES_LIMIT = 0.5, 0.01
 
 def calibrate(rig: RigConfig, options: Calibrate) -> int:
     """Carry it out; the exit status."""
+    board = Board(*options.squares, options.square, options.marker, options.dictionary, options.legacy)
+    if options.action == "check":
+        return _check(options, board)
     try:
-        board = _board(options)
-        if options.action == "check":
-            return _check(options, board)
         return _estimate(rig, options, board)
-    except (UsageError, ImageFileError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
     except CalibrationError as error:
-        return complain(str(error), EXIT_NONE if options.action == "stereo" else EXIT_UNUSABLE)
-
-
-def _board(options: Calibrate) -> Board:
-    if options.unit not in METRES_PER_UNIT:
-        raise UsageError(f"--unit {options.unit} is unknown; choose from {', '.join(METRES_PER_UNIT)}")
-    try:
-        return Board(*options.squares, options.square, options.marker, options.dictionary, options.legacy)
-    except CalibrationError as error:
-        raise UsageError(str(error)) from None
+        return complain(str(error), EXIT_NONE)
 
 
 def _estimate(rig: RigConfig, options: Calibrate, board: Board) -> int:
@@ -92,8 +80,7 @@ def _unlike_eyes(fault: Judgement) -> str:
 def _live(rig: RigConfig, options: Calibrate, board: Board, output: Path) -> Seen:
     if any((options.left, options.right, options.stereo)):
         raise UsageError("--live takes frames of the camera; leave --left, --right and --stereo out")
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     say("show the board to both eyes, and move it to where the lines below say; Ctrl-C ends it with what there is")
     with connected(rig.session) as connection:
         seen = views_of_camera(connection, board, output, options.views, stopped)
@@ -130,10 +117,7 @@ def _check(options: Calibrate, board: Board) -> int:
 def _output(folder: Path | None) -> Path:
     if folder is None:
         raise UsageError("give --output, a folder for the calibration and its report")
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--output {folder} is a file; give a new folder")
-    if folder.exists() and any(folder.iterdir()):
-        raise UsageError(f"--output {folder} is not empty; give a new folder")
+    check_folder("--output", folder)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

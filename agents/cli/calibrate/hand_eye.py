@@ -14,12 +14,13 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from agents.cli.calibrate.hand_eye_options import HandEye
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
-from schemas.codec import decode
-from schemas.messages import RobotState, StereoCalibration
-from schemas.topics import ROBOT_STATE, topic_of
+from agents.cli.calibrate.options import HandEye
+from agents.cli.places import check_new
+from agents.cli.recordings.arm_states import arm_states
+from agents.launch.process import EXIT_OK
+from schemas.messages import StereoCalibration
 from shared.calibration import CalibrationError, read_calibration
+from shared.calibration.estimation.checking import rectifying
 from shared.calibration.hand_eye.estimate import Estimate, Motion, Sightings, estimated
 from shared.calibration.hand_eye.file import implausible
 from shared.calibration.identity import calibration_id
@@ -28,11 +29,9 @@ from shared.calibration.reader import stated_calibration
 from shared.camera import camera_matrix, is_rectified
 from shared.clock import now_ns
 from shared.kinematics.psm import FINGER_M, JOINT_NAMES, forward
-from shared.recording.entry import RecordingError
-from shared.recording.mcap_file import read_recording
 from shared.rectification import RectificationError, rectification
 from shared.rigid_transforms import rotation_from_quaternion, transform
-from shared.terminal import complain, say, warn
+from shared.terminal import UsageError, complain, say, warn
 
 PIXELS, POINTS = ("left_u", "left_v", "right_u", "right_v"), ("x", "y", "z")
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -90,17 +89,9 @@ def motion_recorded(path: Path, arm: str) -> Motion:
     """The poses of an arm in a recording, its times in seconds since 1970.
 
     Raises:
-        CalibrationError: where it is no recording, or holds no state of that arm.
+        RecordingError, OSError: where it is no recording, or holds no state of that arm.
     """
-    states: list[RobotState] = []
-    try:
-        for entry in read_recording(path):
-            if topic_of(entry.key) is ROBOT_STATE and entry.key.split("/")[3] == arm:
-                states.append(decode(RobotState, entry.payload))
-    except (RecordingError, OSError) as error:
-        raise CalibrationError(f"{path}: {error}") from None
-    if not states:
-        raise CalibrationError(f"{path}: it holds no state of an arm {arm!r}")
+    states = arm_states(path, arm)
     times = np.array([state.measured_ns for state in states]) * 1e-9
     return _in_order(times, np.stack([state.T_base_tool for state in states]))
 
@@ -117,16 +108,16 @@ def _rectified(
     """Pixels of raw images as those of rectified ones: the points' way where `rectification` maps images."""
     if is_rectified(calibration):
         return px
-    size, T = (calibration.image_width, calibration.image_height), np.array(calibration.T_right_left)
-    eyes = [
-        (np.array(calibration.K_left), np.array(calibration.distortion_left)),
-        (np.array(calibration.K_right), np.array(calibration.distortion_right)),
-    ]
-    eyes = [(K_eye, d if len(d) else np.zeros(5)) for K_eye, d in eyes]
-    R_l, R_r, *_ = cv2.stereoRectify(*eyes[0], *eyes[1], size, T[:3, :3], T[:3, 3:].copy(), alpha=-1)
+    R_l, R_r, *_ = rectifying(calibration)
+    eyes = (
+        (px[:, :2], calibration.K_left, calibration.distortion_left, R_l),
+        (px[:, 2:], calibration.K_right, calibration.distortion_right, R_r),
+    )
     told = [
-        cv2.undistortPoints(np.ascontiguousarray(px[:, None, part]), *eye, R=R, P=K)[:, 0]
-        for part, eye, R in ((slice(0, 2), eyes[0], R_l), (slice(2, 4), eyes[1], R_r))
+        cv2.undistortPoints(
+            np.ascontiguousarray(part[:, None]), np.array(K_eye), np.array(d) if len(d) else np.zeros(5), R=R, P=K
+        )[:, 0]
+        for part, K_eye, d, R in eyes
     ]
     return np.hstack(told)
 
@@ -170,19 +161,16 @@ MIDDLE_OF_FIELD = np.array([0.0, 0.0, 0.09])
 
 def run(options: HandEye) -> int:
     """Carry it out; the exit status."""
-    try:
-        if (options.poses is None) == (options.recording is None):
-            raise CalibrationError("give the robot's poses by one of --poses and --recording")
-        if options.output is not None and options.output.exists():
-            raise CalibrationError(f"{options.output} is there already; give a new file")
-        camera = _camera(options)
-        sightings = sightings_in(options.tips, camera)
-        if options.poses is not None:
-            motion, turned = motion_in(options.poses)
-        else:
-            motion, turned = motion_recorded(options.recording or Path(), options.arm), True
-    except CalibrationError as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    if (options.poses is None) == (options.recording is None):
+        raise UsageError("give the robot's poses by one of --poses and --recording")
+    if options.output is not None:
+        check_new(options.output)
+    camera, turned = _camera(options), True
+    sightings = sightings_in(options.tips, camera)
+    if options.recording is not None:
+        motion = motion_recorded(options.recording, options.arm)
+    else:
+        motion, turned = motion_in(options.poses or Path())
     point = np.array(options.point if options.point is not None else (0.0, 0.0, FINGER_M if turned else 0.0))
     try:
         if not turned and (options.unknown_point or options.point is not None):

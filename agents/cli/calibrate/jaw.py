@@ -2,27 +2,27 @@
 
 import threading
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 
-from agents.cli.calibrate.jaw_options import Jaw
+from agents.cli.calibrate.options import Jaw
+from agents.cli.places import check_new
+from agents.cli.recordings.arm_states import arm_states
 from agents.configuration.this_host import rig_of
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from agents.robot_bridge import jaw as bridge
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RobotState
-from schemas.topics import ROBOT_STATE, topic_of
+from schemas.topics import ROBOT_STATE
 from shared.calibration.jaw.estimate import Estimate, JawMotion, closings_in, estimated
 from shared.calibration.jaw.file import JawZero, jaw_zero_of, jaw_zero_text
 from shared.calibration.stated import CalibrationError
 from shared.clock import monotonic_s
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
-from shared.runtime.config import ConfigError
-from shared.runtime.connection import Connection, NoRouterError, connected
+from shared.runtime.connection import Connection, connected
 from shared.runtime.taps import Tapped
-from shared.terminal import complain, say, warn
+from shared.terminal import UsageError, complain, say, warn
 
 EXIT_NONE = 3
 LOOKS_EVERY_S, SILENT_S = 0.5, 3.0
@@ -33,14 +33,11 @@ ENDED_S = 1.0
 def run(options: Jaw) -> int:
     """Carry it out; the exit status."""
     if options.live == (options.recording is not None):
-        return complain("give a recording, or --live", EXIT_UNUSABLE)
-    if options.output is not None and options.output.exists():
-        return complain(f"{options.output} is there already; give a new file", EXIT_UNUSABLE)
-    try:
-        states = _heard(options) if options.recording is None else states_in(options.recording, options.arm)
-        motion, instrument = motion_of(states), instrument_of(states, options.instrument)
-    except (CalibrationError, ConfigError, NoRouterError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
+        raise UsageError("give a recording, or --live")
+    if options.output is not None:
+        check_new(options.output)
+    states = _heard(options) if options.recording is None else arm_states(options.recording, options.arm)
+    motion, instrument = motion_of(states), instrument_of(states, options.instrument)
     try:
         found = estimated(motion)
         zero = jaw_zero_of(found, options.arm, instrument, states[-1].measured_ns)
@@ -53,28 +50,6 @@ def run(options: Jaw) -> int:
         options.output.write_text(jaw_zero_text(zero), encoding="utf-8")
         say(f"written to {options.output}; set jaw_file to it in the arm's section of the rig")
     return EXIT_OK
-
-
-def states_in(path: Path, arm: str) -> list[RobotState]:
-    """The states of an arm in a recording.
-
-    Raises:
-        CalibrationError: where it is no recording, or holds none.
-    """
-    # who listens to a rig needs none of what reads recordings
-    from shared.recording.entry import RecordingError
-    from shared.recording.mcap_file import read_recording
-
-    states: list[RobotState] = []
-    try:
-        for entry in read_recording(path):
-            if topic_of(entry.key) is ROBOT_STATE and entry.key.split("/")[3] == arm:
-                states.append(decode(RobotState, entry.payload))
-    except (RecordingError, MessageError, OSError) as error:
-        raise CalibrationError(f"{path}: {error}") from None
-    if not states:
-        raise CalibrationError(f"{path}: it holds no state of an arm {arm!r}")
-    return states
 
 
 def motion_of(states: Iterable[RobotState]) -> JawMotion:
@@ -119,8 +94,7 @@ def instrument_of(states: Iterable[RobotState], named: str) -> str:
 
 
 def _heard(options: Jaw) -> list[RobotState]:
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     with connected(rig_of(options.config, options.host).session, None, stopped) as connection:
         say("open the jaw wide, wait a moment, and close it until it presses, slowly, by the console; Ctrl-C ends this")
         return listened(connection, options, stopped)

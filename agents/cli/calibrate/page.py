@@ -18,7 +18,7 @@ from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.checking import Checked
 from shared.calibration.estimation.coverage import LEAST_IN_CELL, coverage, lacking
 from shared.calibration.estimation.estimate import Estimate, rms
-from shared.calibration.estimation.projection import rectifying
+from shared.rectification import rectification, rectify_image
 from shared.units import unit_name
 
 WIDTH_PX = 760
@@ -63,17 +63,9 @@ def rectified_rows(
     left: UInt8[np.ndarray, "h w *c"], right: UInt8[np.ndarray, "h w *c"], calibration: StereoCalibration
 ) -> Picture:
     """Both images rectified, side by side, with rows drawn through them: the same things must lie on each."""
-    R_l, R_r, P_l, P_r = rectifying(calibration)
-    size = calibration.image_width, calibration.image_height
-    both: list[Picture] = []
-    for image, K, distortion, R, P in (
-        (left, calibration.K_left, calibration.distortion_left, R_l, P_l),
-        (right, calibration.K_right, calibration.distortion_right, R_r, P_r),
-    ):
-        coefficients = np.array(distortion) if len(distortion) else np.zeros(5)
-        maps = cv2.initUndistortRectifyMap(np.array(K), coefficients, R, P, size, cv2.CV_32FC1)
-        both.append(_scaled(cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR))[0])
-    drawn = np.hstack(both)
+    ready = rectification(calibration)
+    both = rectify_image(left, ready.map_left), rectify_image(right, ready.map_right)
+    drawn = np.hstack([_scaled(image)[0] for image in both])
     for v in np.linspace(0, drawn.shape[0] - 1, ROWS + 2)[1:-1].astype(int).tolist():
         cv2.line(drawn, (0, v), (drawn.shape[1] - 1, v), ROW, 1)
     return drawn

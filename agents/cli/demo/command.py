@@ -1,26 +1,22 @@
 """`suturegrasp demo`: a simulated grasp from image to judgement, with every agent a process of its own."""
 
 import contextlib
-import queue
 import threading
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from agents.cli.demo.report import report
-from agents.cli.live.attempts import Attempts, attempts_on
+from agents.cli.live.attempts import Attempts, attempts_on, awaited
 from agents.cli.live.command import percent, plan_sentence
-from agents.cli.live.events import event_sentence
 from agents.cli.live.options import Demo
 from agents.cli.live.up import FIRST_CONTACT_S, start_all, write_config
 from agents.configuration.rig import PlannerSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.launch.session_folder import SessionFolder, new_session_folder
 from agents.launch.supervisor import Role, Supervisor, last_line, supervised
-from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp
-from schemas.checks import MessageError
-from schemas.codec import decode
+from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, events_of
 from schemas.messages import (
     ExecutionKind,
     GraspJudgement,
@@ -32,9 +28,9 @@ from schemas.messages import (
 )
 from schemas.topics import JUDGEMENT, THREAD
 from shared.clock import monotonic_s
+from shared.execution_words import event_told
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.session import free_local_endpoint
-from shared.runtime.taps import Tapped
 from shared.terminal import complain, say, show
 
 PLACES = 100
@@ -79,7 +75,7 @@ HEARTBEAT_LOST = "heartbeat_lost"
 WORTH_SHOWING_M = 0.003
 """A plan with a shorter slide is kept for the case that no place needs a longer one."""
 VERDICT_S = 5.0
-LOOK_S = 0.2
+LOOK_S, AT_ONCE_S = 0.2, 1e-3
 ARM = "psm1"
 
 
@@ -102,8 +98,8 @@ class Story:
     connection: Connection
     supervisor: Supervisor
     stopped: threading.Event
-    threads: "queue.Queue[Tapped]"
-    verdicts: "queue.Queue[Tapped]"
+    threads: Events
+    verdicts: Events
 
     def check(self) -> None:
         """Raise DemoError where a process that the grasp needs has ended, or the demo is to stop."""
@@ -155,29 +151,20 @@ def _run(rig: RigConfig, folder: SessionFolder, view: str, attempts: int, stoppe
         supervisor = stack.enter_context(supervised(restart=False))
         start_all(supervisor, rig, config, folder, view)
         say(f"started {len(supervisor.children)} processes")
-        stack.enter_context(_no_longer_than(LONGEST_S, stopped.set))
+        limit = threading.Timer(LONGEST_S, stopped.set)
+        limit.start()
+        stack.callback(limit.cancel)
         try:
             connection = stack.enter_context(connected(rig.session, FIRST_CONTACT_S, stopped))
-            return _grasp(Story(connection, supervisor, stopped, queue.Queue(), queue.Queue()), attempts).sentence, ""
+            threads, verdicts = (stack.enter_context(events_of(connection, topic)) for topic in (THREAD, JUDGEMENT))
+            return _grasp(Story(connection, supervisor, stopped, threads, verdicts), attempts).sentence, ""
         except NothingToGraspError as error:
             return str(error), ""
         except (DemoError, NoRouterError) as error:
             return "no grasp was judged", str(error)
 
 
-@contextlib.contextmanager
-def _no_longer_than(seconds: float, stop: Callable[[], None]) -> Generator[None]:
-    timer = threading.Timer(seconds, stop)
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-
-
 def _grasp(story: Story, attempts: int) -> GraspJudgement:
-    story.connection.listen((THREAD,), story.threads.put)
-    story.connection.listen((JUDGEMENT,), story.verdicts.put)
     threads = _threads(story, STEADY_THREADS)
     mean = sum(float(thread.confidence.mean()) for thread in threads) / len(threads)
     say(f"the thread is seen, with a mean confidence of {mean:.2f}")
@@ -190,7 +177,7 @@ def _carried_out(story: Story, goals: list[tuple[float, float]], grasps: Attempt
     plan = _plan(story, goals)
     for left in reversed(range(ARMINGS)):
         stood = arm_and_stand_by(
-            story.connection, ARM, plan.plan_id, story.stopped, lambda event: say(event_sentence(event))
+            story.connection, ARM, plan.plan_id, story.stopped, lambda event: say(event_told(event))
         )
         story.check()
         # on a busy machine a heartbeat may come late, and the arm holds, as it should
@@ -219,9 +206,8 @@ def _threads(story: Story, count: int) -> list[ThreadReconstruction]:
         story.check()
         if monotonic_s() > deadline_s:
             raise DemoError(f"no thread was seen within {FIRST_THREAD_S:.0f} s: {why}")
-        try:
-            thread = decode(ThreadReconstruction, story.threads.get(timeout=LOOK_S).payload)
-        except (queue.Empty, MessageError):
+        thread = story.threads.next(LOOK_S)
+        if not isinstance(thread, ThreadReconstruction):
             continue
         if thread.status is Status.OK:
             threads.append(thread)
@@ -259,9 +245,8 @@ def _plan(story: Story, goals: list[tuple[float, float]]) -> GraspPlan:
 
 def _newer_thread(story: Story) -> None:
     """Wait until another thread has come, so that the planner has a fresh one."""
-    with contextlib.suppress(queue.Empty):
-        while True:
-            story.threads.get_nowait()
+    while story.threads.next(AT_ONCE_S) is not None:
+        pass
     _threads(story, 1)
 
 
@@ -269,13 +254,8 @@ def _verdict(story: Story, plan_id: str, stood: Stood) -> GraspJudgement:
     if stood.answer.outcome is not Outcome.ACCEPTED:
         raise DemoError(f"the arm was not armed: {stood.answer.reason}")
     if stood.end is None or stood.end.kind is not ExecutionKind.FINISHED:
-        raise DemoError(stood.left or (event_sentence(stood.end) if stood.end else "the grasp was not finished"))
-    deadline_s = monotonic_s() + VERDICT_S
-    while (left_s := deadline_s - monotonic_s()) > 0:
-        try:
-            verdict = decode(GraspJudgement, story.verdicts.get(timeout=left_s).payload)
-        except (queue.Empty, MessageError):
-            continue
-        if verdict.plan_id == plan_id:
-            return verdict
-    raise DemoError("the simulator gave no verdict")
+        raise DemoError(stood.left or (event_told(stood.end) if stood.end else "the grasp was not finished"))
+    verdict = awaited(story.verdicts, GraspJudgement, VERDICT_S, lambda verdict: verdict.plan_id == plan_id)
+    if verdict is None:
+        raise DemoError("the simulator gave no verdict")
+    return verdict

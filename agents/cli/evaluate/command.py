@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 import cv2
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from agents.cli.alone import alone
 from agents.cli.evaluate.options import Evaluate
 from agents.cli.evaluate.pictures import field_pictures, moments, strip
 from agents.cli.evaluate.trials import Table, all_tried
-from agents.cli.evaluate.workers import WorkError
+from agents.cli.progress import counted
 from agents.cli.recordings.recompute import write_recording
 from agents.cli.whole_file import whole_file
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
+from agents.launch.process import EXIT_OK
 from agents.simulated_trials.journal import Journal
 from agents.simulated_trials.look import Came
 from agents.simulated_trials.protocol import Protocol, Tried, threads_of, trials_on
@@ -27,9 +25,8 @@ from agents.simulated_trials.table import overview
 from agents.simulated_trials.trial import RIG
 from schemas.messages import ImageEncoding
 from shared.recording.mcap_file import Note
-from shared.rendering.render import SceneError
 from shared.runtime.config import ConfigError, parse_config
-from shared.terminal import complain, say, show
+from shared.terminal import say, show
 
 EXIT_LEFT = 3
 JOURNAL, DOCUMENT, PAGE, REPORT = "journal.jsonl", "results.json", "results.md", "report.html"
@@ -43,15 +40,10 @@ def run(options: Evaluate) -> int:
 
 
 def taken_up(output: Path, evaluated: Callable[[], int]) -> int:
-    """The exit status of an evaluation that has a folder to itself; what keeps it from one is a sentence."""
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        with alone(output, "evaluation"):
-            return evaluated()
-    except (ConfigError, SceneError, WorkError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
-    except OSError as error:
-        return complain(f"{output} cannot be used: {error.strerror or error}", EXIT_UNUSABLE)
+    """The exit status of an evaluation that has a folder to itself."""
+    output.mkdir(parents=True, exist_ok=True)
+    with alone(output, "evaluation"):
+        return evaluated()
 
 
 def _evaluated(options: Evaluate) -> int:
@@ -170,10 +162,4 @@ AnyCame = TypeVar("AnyCame", bound=Tried)
 
 def shown(results: Iterable[AnyCame], what: str, total: int, before: int) -> Generator[AnyCame]:
     """The same, with a bar on standard error where that is a terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task(what, total=total, completed=before)
-        for one in results:
-            progress.update(bar, advance=1, description=one.trial.name)
-            yield one
+    return counted(results, what, total, before, lambda one: one.trial.name)

@@ -7,13 +7,14 @@ from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
+from shared.terminal import UsageError
 from shared.worker_pool import worker_pool
 
 LOOK_S = 0.2
 Result = TypeVar("Result")
 
 
-class WorkError(RuntimeError):
+class WorkError(UsageError):
     """A worker that ended before its work was done."""
 
 

@@ -27,9 +27,7 @@ class Experiment(OnRig):
     arm: Annotated[str | None, tyro.conf.arg(metavar="ARM")] = None
     """Which arm grasps; psm1 without this option."""
     verdicts: Annotated[Literal["operator", "simulated"] | None, tyro.conf.arg(metavar="{operator,simulated}")] = None
-    """Who says whether a grasp held: you, asked after each, or the simulator."""
-    start: bool = False
-    """Start everything for each thread, simulated, and stop it after."""
+    """Who says whether a grasp held: you, asked after each, which is so without this option, or the simulator."""
     record: bool = True
     """Record each thread's session."""
     report: bool = False

@@ -3,7 +3,6 @@
 import os
 import select
 import threading
-from typing import Protocol
 
 from agents.experiment.journal import CAUSES, Attempt, Cause, Trial
 from schemas.messages import ExecutionEvent, GraspPlan
@@ -16,26 +15,6 @@ class LeftError(RuntimeError):
     """Nobody answers any more, or somebody wants to stop here; the text says so."""
 
 
-class Attendant(Protocol):
-    """Who stands by: lays the thread, arms, and says what came of a motion that has ended by itself."""
-
-    def lay(self, trial: Trial, left: int) -> None:
-        """Return once the thread lies ready."""
-        ...
-
-    def arms(self, plan: GraspPlan) -> bool:
-        """Whether this plan is to be armed; otherwise another is asked for."""
-        ...
-
-    def stuck(self, reason: str) -> None:
-        """Return once what kept the arm from being armed may be over."""
-        ...
-
-    def held(self, event: ExecutionEvent) -> tuple[Cause, str] | None:
-        """Why a motion that was stopped is a failure of the grasp; None where it is to be tried again."""
-        ...
-
-
 class Person:
     """Answers at the terminal, in lines of standard input."""
 
@@ -44,21 +23,21 @@ class Person:
         self._stopped, self._kept = stopped, b""
 
     def lay(self, trial: Trial, left: int) -> None:
-        """Ask for the thread to be let go of and laid as it was."""
+        """Return once the thread lies ready, let go of and as it was."""
         said = f"{trial.thread}, {left} left: {trial.policy} at {trial.s:.1%}"
         self._asked(f"{said}. The jaw empty, the thread as it was laid? Enter goes on: ", {"": ""})
 
     def arms(self, plan: GraspPlan) -> bool:
-        """Ask for consent to one plan."""
+        """Whether this plan is to be armed; otherwise another is asked for."""
         asked = f"Enter arms {plan.arm}, and Ctrl-C holds it; a plans anew: "
         return self._asked(asked, {"": "arm", "a": "anew"}) == "arm"
 
     def stuck(self, reason: str) -> None:
-        """Tell what is in the way."""
+        """Return once what kept the arm from being armed may be over."""
         self._asked(f"{reason}. Enter tries again: ", {"": ""})
 
     def held(self, event: ExecutionEvent) -> tuple[Cause, str] | None:
-        """Ask whether what stopped the motion is to be held against the grasp."""
+        """Why a motion that was stopped is a failure of the grasp; None where it is to be tried again."""
         asked = "Was it the fault of the plan? y: a failure, n: try it again: "
         return ("stopped", event.reason) if self._asked(asked, {"y": "y", "n": ""}) else None
 
@@ -120,6 +99,10 @@ class Nobody:
         """On a busy machine a heartbeat may come late, and the arm holds, as it should: again."""
         self.stuck(f"{event.arm} held ({event.code})")
         return None
+
+
+Attendant = Person | Nobody
+"""Who stands by: lays the thread, arms, and says what came of a motion that has ended by itself."""
 
 
 def outcome_sentence(attempt: Attempt) -> str:

@@ -1,18 +1,15 @@
 """One trial of an experiment on a running rig: goal, plan, arming, motion, verdict."""
 
-import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from agents.cli.experiment.terminal import Attendant, LeftError, Person
+from agents.cli.live.attempts import awaited
 from agents.cli.live.command import POLICIES, plan_sentence
-from agents.cli.live.events import event_sentence
 from agents.experiment.journal import Attempt, Cause, Trial
 from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, events_of
 from agents.robot_bridge.plans import AGAINST_PLAN
-from schemas.checks import MessageError
-from schemas.codec import decode
 from schemas.messages import (
     CommandAnswer,
     ExecutionKind,
@@ -25,8 +22,8 @@ from schemas.messages import (
 )
 from schemas.topics import JUDGEMENT, MAIN, THREAD
 from shared.clock import monotonic_s, now_ns
+from shared.execution_words import event_told
 from shared.runtime.connection import Connection
-from shared.runtime.taps import Tapped
 from shared.terminal import say
 
 PATIENCE_S, VERDICT_S, LOOK_S = 60.0, 5.0, 0.2
@@ -102,7 +99,7 @@ def _moved(trial: Trial, plan: GraspPlan, rig: Rig) -> Attempt | str:
 
 def _carried_out(made: Attempt, plan: GraspPlan, verdicts: Events, rig: Rig) -> Attempt | str:
     began_s = monotonic_s()
-    stood = arm_and_stand_by(rig.connection, rig.arm, plan.plan_id, rig.stopped, lambda e: say(event_sentence(e)))
+    stood = arm_and_stand_by(rig.connection, rig.arm, plan.plan_id, rig.stopped, lambda e: say(event_told(e)))
     took_s = monotonic_s() - began_s
     if rig.stopped.is_set():
         raise LeftError("interrupted; the arm holds")
@@ -141,12 +138,10 @@ def _verdict(plan: GraspPlan, verdicts: Events, rig: Rig) -> tuple[bool, Cause |
     if not rig.simulated:
         assert isinstance(rig.attendant, Person)  # noqa: S101 - only a person gives a verdict of a real grasp
         return rig.attendant.verdict()
-    deadline_s = monotonic_s() + VERDICT_S
-    while (left_s := deadline_s - monotonic_s()) > 0:
-        judged = verdicts.next(left_s)
-        if isinstance(judged, GraspJudgement) and judged.plan_id == plan.plan_id:
-            return judged.verdict is Verdict.HELD, CAUSE_OF.get(judged.verdict), judged.sentence
-    raise ExperimentError("the simulator gave no verdict; look at its log")
+    judged = awaited(verdicts, GraspJudgement, VERDICT_S, lambda judged: judged.plan_id == plan.plan_id)
+    if judged is None:
+        raise ExperimentError("the simulator gave no verdict; look at its log")
+    return judged.verdict is Verdict.HELD, CAUSE_OF.get(judged.verdict), judged.sentence
 
 
 def _lay(rig: Rig) -> None:
@@ -174,25 +169,20 @@ def _plan(trial: Trial, rig: Rig) -> GraspPlan | str:
         answer, plan = ask_for_grasp(rig.connection, rig.arm, POLICIES[trial.policy], s=trial.s)
         if plan is not None:
             return plan if plan.status is Status.OK else plan.reason
-        why = _said(answer)
+        why = answer.reason or "the goal was accepted and no plan followed; look at the planner's log"
     raise ExperimentError(f"no plan was made within {PATIENCE_S:.0f} s: {why}")
-
-
-def _said(answer: CommandAnswer) -> str:
-    return answer.reason or "the goal was accepted and no plan followed; look at the planner's log"
 
 
 def _wait_for_thread(rig: Rig, from_ns: int, deadline_s: float) -> str:
     """Wait for a thread seen later than that; why there was none, or nothing."""
-    why, heard = "no frame was reconstructed", queue.Queue[Tapped]()
-    with rig.connection.listening((THREAD,), heard.put):
+    why = "no frame was reconstructed"
+    with events_of(rig.connection, THREAD) as threads:
         while monotonic_s() < deadline_s:
             rig.check()
             if rig.stopped.is_set():
                 raise LeftError("interrupted")
-            try:
-                thread = decode(ThreadReconstruction, heard.get(timeout=LOOK_S).payload)
-            except (queue.Empty, MessageError):
+            thread = threads.next(LOOK_S)
+            if not isinstance(thread, ThreadReconstruction):
                 continue
             if min(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns) < from_ns:
                 continue

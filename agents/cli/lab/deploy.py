@@ -8,41 +8,36 @@ from agents.cli.lab.options import Deploy
 from agents.configuration.hosts import OPERATOR, HostSection, kind_and_instance
 from agents.configuration.rig import RigConfig
 from agents.configuration.this_host import recognised
-from agents.deployment.certificates import CERTIFICATES, AuthorityError, issue
-from agents.deployment.install import InstallError, install
+from agents.deployment.certificates import CERTIFICATES, issue
+from agents.deployment.install import install
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.deployment.leftovers import remove_leftovers
 from agents.deployment.places import AUTHORITY_FOLDER, RIG_FILE
 from agents.deployment.plan import hosts_in_words, plan
 from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
+from agents.launch.process import EXIT_OK
 from shared.clock import now_ns
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.session import on_loopback
-from shared.terminal import complain, say
+from shared.terminal import say
 
 INSTALL = "suturegrasp deploy install --folder FOLDER, as root"
 
 
 def run(options: Deploy) -> int:
     """Carry out one of the four; the exit status."""
-    try:
-        if options.action == "install":
-            return _install(options)
-        rig = load_config(options.config, RigConfig)
-        layout = layout_of(rig)
-        if options.action == "rehearse":
-            # it needs what nobody else does: namespaces, emulated consoles
-            from agents.cli.lab.rehearsal.rehearse import rehearse
+    if options.action == "install":
+        return _install(options)
+    rig = load_config(options.config, RigConfig)
+    layout = layout_of(rig)
+    if options.action == "rehearse":
+        # it needs what nobody else does: namespaces, emulated consoles
+        from agents.cli.lab.rehearsal.rehearse import rehearse
 
-            return rehearse(options, rig, layout_of)
-        if options.action == "plan":
-            return _plan(options, rig, layout)
-        return _certificates(options, layout)
-    except (ConfigError, AuthorityError, InstallError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
-    except OSError as error:
-        return complain(f"{error.filename}: {error.strerror}", EXIT_UNUSABLE)
+        return rehearse(options, rig)
+    if options.action == "plan":
+        return _plan(options, rig, layout)
+    return _certificates(options, layout)
 
 
 def layout_of(rig: RigConfig) -> Layout:

@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from agents.cli.lab.emulate_options import Emulate
+from agents.cli.lab.options import Emulate
 from agents.dvrk_emulator.arm import start_of
 from agents.dvrk_emulator.asked import answering
 from agents.dvrk_emulator.console import Behaviour, EmulatedConsole
 from agents.dvrk_emulator.geometry import JAW_LIMITS
 from agents.dvrk_emulator.oracle import Field, Oracle
 from agents.dvrk_emulator.wire import BridgeWire, RmwWire
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from shared.clock import monotonic_s
 from shared.runtime.connection import NoRouterError, open_when_there
-from shared.runtime.identity import IdentityError
-from shared.runtime.session import RouterError, Session, SessionSettings, open_from, open_router
-from shared.terminal import complain, say
+from shared.runtime.session import Session, SessionSettings, open_from, open_router
+from shared.terminal import UsageError, say
 
 EXIT_UNSAFE = 1
 OWN_ENDPOINT = "tcp/127.0.0.1:7448"
@@ -31,13 +30,12 @@ SENT_S = 0.2
 
 def run(options: Emulate) -> int:
     """Emulate until stopped; the exit status."""
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
+    oracles = {
+        arm: Oracle(_field(options.camera, arm), hears_heartbeats=options.heartbeats is not None)
+        for arm in options.arm.split(",")
+    }
     try:
-        oracles = {
-            arm: Oracle(_field(options.camera, arm), hears_heartbeats=options.heartbeats is not None)
-            for arm in options.arm.split(",")
-        }
         with contextlib.ExitStack() as stack:
             session = stack.enter_context(_session(options, stopped))
             if options.tell is not None:
@@ -54,10 +52,10 @@ def run(options: Emulate) -> int:
                     stands_by = HEARTBEATS.replace("{arm}", arm.lower() if len(oracles) > 1 else "*")
                     rig.declare_subscriber(stands_by, lambda _, oracle=oracle: oracle.heartbeat(monotonic_s()))
             return _run(options, session, oracles, stopped)
-    except NoRouterError as error:
-        return EXIT_OK if stopped.is_set() else complain(str(error), EXIT_UNUSABLE)
-    except (RouterError, IdentityError, OSError, ValueError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    except NoRouterError:
+        if stopped.is_set():
+            return EXIT_OK
+        raise
 
 
 def _run(options: Emulate, session: Session, oracles: dict[str, Oracle], stopped: threading.Event) -> int:
@@ -113,18 +111,15 @@ def _field(path: Path | None, arm: str) -> Field | None:
     """Where an arm stands before the camera, by a file of its own or one with an entry for each arm.
 
     Raises:
-        ValueError: where the file does not say.
+        UsageError: where the file does not say.
     """
     if path is None:
         return None
     try:
-        T = np.array(_of(json.loads(path.read_text()), arm)["T_camera_base"], np.float64)
-    except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no JSON with T_camera_base: {error}") from None
+        told = json.loads(path.read_text())
+        T = np.array(told.get(arm, told)["T_camera_base"], np.float64)
+    except (AttributeError, KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path} is no JSON with T_camera_base: {error}") from None
     if T.shape != (4, 4) or not np.isfinite(T).all():
-        raise ValueError(f"T_camera_base of {path} is not 4x4 and finite")
+        raise UsageError(f"T_camera_base of {path} is not 4x4 and finite")
     return Field(T)
-
-
-def _of(told: Any, arm: str) -> Any:
-    return told[arm] if isinstance(told, dict) and arm in told else told

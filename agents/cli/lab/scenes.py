@@ -1,22 +1,19 @@
 """`suturegrasp scenes render`: path-traced stereo pairs with truth, many at once, taken up again where it was left."""
 
 import math
-from collections.abc import Iterable
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-from agents.cli.lab.scenes_options import Scenes
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.lab.options import Scenes
+from agents.cli.progress import counted
+from agents.launch.process import EXIT_OK
 from schemas.messages import RectifiedStereo, Severity
-from shared.calibration import CalibrationError, read_calibration
+from shared.calibration import read_calibration
 from shared.rendering.path_traced.batch import LARGEST_OFFSET_PX, Done, Job, make_all, outstanding
 from shared.rendering.path_traced.engine import engine
 from shared.rendering.path_traced.eyes import Rig, calibrated_rig, rectified_rig
 from shared.rendering.path_traced.meshes import driver_parts
 from shared.rendering.path_traced.recipe import Recipe
 from shared.rendering.render import SceneError
-from shared.terminal import complain, say, warn
+from shared.terminal import say, warn
 
 EXIT_SOME = 1
 MOST_PX, LEAST_PX = 3840, 64
@@ -26,16 +23,14 @@ BASELINE_MM = 5.5
 
 def run(options: Scenes) -> int:
     """Render what is missing; the exit status."""
-    try:
-        _check(options)
-        jobs = jobs_of(options)
-        missing = outstanding(jobs)
-        if missing:
-            # here rather than in the first worker, so that a missing extra is said at once
-            engine()
-        made = list(shown(make_all(missing, options.workers), len(jobs), len(jobs) - len(missing)))
-    except SceneError as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    _check(options)
+    jobs = jobs_of(options)
+    missing = outstanding(jobs)
+    if missing:
+        # here rather than in the first worker, so that a missing extra is said at once
+        engine()
+    done = make_all(missing, options.workers)
+    made = list(counted(done, "rendering", len(jobs), len(jobs) - len(missing), lambda one: one.name))
     say(summary(options, len(jobs), made))
     for one in made:
         if remark := _remark(one):
@@ -71,14 +66,11 @@ def rig_of(options: Scenes) -> Rig:
     """The camera of a calibration, or the rectified one of the published renders.
 
     Raises:
-        SceneError: where the calibration cannot be used.
+        SceneError, CalibrationError: where the calibration cannot be used.
     """
     if not options.calibration:
         return endoscope(*options.size)
-    try:
-        read = read_calibration(options.calibration, unit=options.unit, image_size=options.size)
-    except CalibrationError as error:
-        raise SceneError(str(error)) from error
+    read = read_calibration(options.calibration, unit=options.unit, image_size=options.size)
     for judgement in read.judgements:
         if judgement.severity is Severity.FAULT:
             raise SceneError(f"the calibration cannot be used: {judgement.finding} {judgement.remedy}")
@@ -94,30 +86,15 @@ def endoscope(width: int, height: int) -> Rig:
 
 def _check(options: Scenes) -> None:
     """Refuse numbers that make no batch."""
-    for name, value, least in (
-        ("count", options.count, 1),
-        ("samples", options.samples, 1),
-        ("workers", options.workers, 1),
-    ):
-        if value < least:
-            raise SceneError(f"--{name} {value}: give {least} or more")
+    for name in ("count", "samples", "workers"):
+        if (value := getattr(options, name)) < 1:
+            raise SceneError(f"--{name} {value}: give 1 or more")
     if options.seed < 0:
         raise SceneError(f"--seed {options.seed}: give 0 or more")
     if not all(LEAST_PX <= length <= MOST_PX for length in options.size):
         raise SceneError(f"--size {options.size[0]} {options.size[1]}: give {LEAST_PX} to {MOST_PX} for either")
     if options.output.exists() and not options.output.is_dir():
         raise SceneError(f"--output {options.output} is a file; name a folder")
-
-
-def shown(done: Iterable[Done], total: int, before: int) -> Iterable[Done]:
-    """The same, with a bar on standard error where that is a terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("rendering", total=total, completed=before)
-        for one in done:
-            progress.update(bar, advance=1, description=one.name)
-            yield one
 
 
 def _remark(one: Done) -> str:

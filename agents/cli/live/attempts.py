@@ -1,7 +1,8 @@
 """What a planner's own check says of a grasp that was carried out, and the plan for the next attempt."""
 
 import contextlib
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from typing import TypeVar
 
 from agents.operator.operator import Events, events_of
 from schemas.messages import GraspCheck, GraspPlan, Status
@@ -11,6 +12,18 @@ from shared.runtime.connection import Connection
 
 CHECK_S, NEXT_PLAN_S = 5.0, 2.0
 """How long a check may take after the end of a grasp: the planner waits 2 s for a frame that tells."""
+
+Message = TypeVar("Message")
+
+
+def awaited(events: Events, kind: type[Message], within_s: float, wanted: Callable[[Message], bool]) -> Message | None:
+    """The next message that is wanted; None where none comes in time."""
+    deadline_s = monotonic_s() + within_s
+    while (left_s := deadline_s - monotonic_s()) > 0:
+        message = events.next(left_s)
+        if isinstance(message, kind) and wanted(message):
+            return message
+    return None
 
 
 @contextlib.contextmanager
@@ -28,20 +41,11 @@ class Attempts:
 
     def check_of(self, plan_id: str) -> GraspCheck | None:
         """What was seen after a plan; None where nothing comes."""
-        deadline_s = monotonic_s() + CHECK_S
-        while (left_s := deadline_s - monotonic_s()) > 0:
-            check = self._checks.next(left_s)
-            if isinstance(check, GraspCheck) and check.plan_id == plan_id:
-                return check
-        return None
+        return awaited(self._checks, GraspCheck, CHECK_S, lambda check: check.plan_id == plan_id)
 
     def plan_after(self, check: GraspCheck | None) -> GraspPlan | None:
         """The plan that follows from a check; None where there is none, or it is a rejection."""
         if check is None or not check.next_plan_id:
             return None
-        deadline_s = monotonic_s() + NEXT_PLAN_S
-        while (left_s := deadline_s - monotonic_s()) > 0:
-            plan = self._plans.next(left_s)
-            if isinstance(plan, GraspPlan) and plan.plan_id == check.next_plan_id:
-                return plan if plan.status is Status.OK else None
-        return None
+        plan = awaited(self._plans, GraspPlan, NEXT_PLAN_S, lambda plan: plan.plan_id == check.next_plan_id)
+        return plan if plan is not None and plan.status is Status.OK else None

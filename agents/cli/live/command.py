@@ -2,13 +2,11 @@
 
 import math
 import shlex
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from agents.cli.live.attempts import attempts_on
-from agents.cli.live.events import event_sentence
 from agents.cli.live.options import (
     ArmPlan,
     ChangeArmState,
@@ -18,7 +16,7 @@ from agents.cli.live.options import (
 )
 from agents.cli.live.pull import EXIT_REFUSED, stand_by_pull
 from agents.configuration.rig import RigConfig
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, stopping
 from agents.operator.operator import (
     Stood,
     arm_and_stand_by,
@@ -42,6 +40,7 @@ from schemas.messages import (
 )
 from schemas.topics import EXECUTION
 from shared.clock import monotonic_s
+from shared.execution_words import event_told
 from shared.runtime.connection import connected
 from shared.terminal import complain, say
 
@@ -106,14 +105,13 @@ def arm(rig: RigConfig, options: ArmPlan) -> int:
     """
     if not options.plan or options.attempts < 1:
         return complain("give the id of a plan, as goal prints it, and at least one attempt", EXIT_UNUSABLE)
-    stopped, plan_id = threading.Event(), options.plan
-    on_stop(stopped.set)
+    stopped, plan_id = stopping(), options.plan
     bounds = options.pull_mm, options.pull_seconds, options.pull_within_mm
     if any(bound is not None for bound in bounds):
         return stand_by_pull(rig, options, stopped)
     with connected(rig.session) as connection, attempts_on(connection) as attempts:
         for left in reversed(range(options.attempts)):
-            stood = arm_and_stand_by(connection, options.arm, plan_id, stopped, lambda e: say(event_sentence(e)))
+            stood = arm_and_stand_by(connection, options.arm, plan_id, stopped, lambda e: say(event_told(e)))
             outcome = _outcome(stood)
             if outcome != EXIT_OK:
                 return outcome

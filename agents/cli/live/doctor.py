@@ -4,7 +4,6 @@ import contextlib
 import importlib.metadata
 import json
 import socket
-import threading
 from collections.abc import Iterator
 
 import schemas
@@ -12,40 +11,19 @@ from agents.cli.live.options import Doctor
 from agents.cli.live.status import gathered_on
 from agents.configuration.reading_session import reading_session
 from agents.configuration.rig import RigConfig
-from agents.diagnostics.doctor.crossing import STREAMS
 from agents.diagnostics.doctor.finding import Finding
 from agents.diagnostics.doctor.here import examine_here
 from agents.diagnostics.doctor.images import PairFiles, examine_frames, examine_images
-from agents.diagnostics.doctor.network import networks
 from agents.diagnostics.doctor.rig import clocks, files, granted, guards, links, running, streams, topics, versions
 from agents.diagnostics.doctor.router import no_router
 from agents.diagnostics.doctor.rules import examine_rules
 from agents.diagnostics.status.watch import StatusWatch
 from agents.diagnostics.status.wrong import listed
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
+from agents.launch.process import EXIT_OK
 from schemas.wire import schemas_hash
 from shared.runtime.connection import Connection, NoRouterError, connected
-from shared.runtime.facts import Link
 from shared.runtime.identity import IdentityError
-from shared.runtime.taps import Tapped
-from shared.terminal import UsageError, complain, say, show
-
-WITHIN_S = 1.0
-
-
-def weigh(connection: Connection, within_s: float = WITHIN_S) -> dict[str, float]:
-    """Bytes of one message of each stream, by topic, of those that come in time."""
-    found, came = dict[str, float](), threading.Condition()
-
-    def take(tapped: Tapped) -> None:
-        with came:
-            found[str(tapped.topic)] = float(len(tapped.payload))
-            came.notify()
-
-    with connection.listening(STREAMS, take), came:
-        came.wait_for(lambda: len(found) == len(STREAMS), within_s)
-        return dict(found)
-
+from shared.terminal import UsageError, say, show
 
 EXIT_FOUND = 1
 ROUTER_WAIT_S = 2.0
@@ -56,14 +34,11 @@ def doctor(rig: RigConfig, options: Doctor) -> int:
     """Print every finding; the exit status is 1 where something is wrong."""
     findings: list[Finding] = []
     pair = PairFiles(options.left, options.right, options.stereo, options.calibration, options.unit)
-    try:
-        for finding in _examined(rig, options, pair):
-            findings.append(finding)
-            if not options.json:
-                remedy = f"; {finding.remedy}" if finding.remedy else ""
-                say(f"{finding.state:5}  {finding.what}: {finding.found}{remedy}")
-    except UsageError as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    for finding in _examined(rig, options, pair):
+        findings.append(finding)
+        if not options.json:
+            remedy = f"; {finding.remedy}" if finding.remedy else ""
+            say(f"{finding.state:5}  {finding.what}: {finding.found}{remedy}")
     well = not any(finding.remedy for finding in findings)
     if options.json:
         told = [{"what": f.what, "state": _STATES[f.state], "found": f.found, "remedy": f.remedy} for f in findings]
@@ -120,9 +95,7 @@ def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
     yield from topics(rig, facts)
     yield from files(gathered)
     yield from clocks(gathered.clocks, socket.gethostname())
-    measured: dict[str, Link | None] = {name: connection.link(*name.split("/")) for name in facts}
-    yield from links(measured)
-    yield from networks(rig, measured, gathered, weigh(connection) if rig.hosts else {})
+    yield from links({name: connection.link(*name.split("/")) for name in facts})
     yield from streams(gathered)
     yield from examine_frames(connection)
     yield from granted(facts, rig, gathered.at_ns)

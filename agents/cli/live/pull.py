@@ -6,13 +6,13 @@ import threading
 
 import numpy as np
 
-from agents.cli.live.events import event_sentence
 from agents.cli.live.options import ArmPlan, PullThread
 from agents.configuration.rig import RigConfig
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from agents.operator.operator import Events, arm_and_stand_by, ask_for_pull, events_of
 from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, PullBounds, PullStop, Status
 from schemas.topics import PLAN
+from shared.execution_words import event_told
 from shared.runtime.connection import connected
 from shared.terminal import complain, say
 
@@ -89,4 +89,4 @@ class _Told:
                 self.stop = plan.pull.stop
                 why = f"{plan.pull.stop.name.lower()}: " if plan.pull.stop is not None else ""
                 say(f"{self._arm}: {why}{plan.pull.sentence}")
-        say(event_sentence(event))
+        say(event_told(event))

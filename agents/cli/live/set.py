@@ -4,18 +4,18 @@ import json
 from collections.abc import Collection
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from agents.cli.live.options import SetInAgent
+from agents.cli.progress import printed
 from agents.configuration.rig import RigConfig
-from agents.diagnostics.status.health_watch import name_of
+from agents.diagnostics.status.health_watch import agent_name, name_of
 from agents.launch.process import EXIT_OK
 from schemas.messages import AgentConfiguration, Outcome
 from schemas.topics import MAIN
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import connected
-from shared.terminal import complain, say, show
+from shared.terminal import complain, say
 
 EXIT_REFUSED = 3
 SENDER = "suturegrasp set"
@@ -75,7 +75,7 @@ def value_of(text: str) -> Any:
 
 
 def _nobody(called: str, present: Collection[str]) -> str:
-    others = ", ".join(name_of(*name.split("/")) for name in present)
+    others = ", ".join(agent_name(name) for name in present)
     return f"{called} does not run; {f'there are {others}' if others else 'no agent does'}"
 
 
@@ -90,9 +90,5 @@ def _list(configuration: AgentConfiguration) -> int:
         may = "not while it runs" if parameter is None else parameter.allowed
         changed = " (set since it started)" if parameter is not None and parameter.is_set else ""
         table.add_row(name, json.dumps(value), may + changed)
-    console = Console(width=PAGE_COLUMNS)
-    with console.capture() as capture:
-        console.print(table if values else "it has no parameters")
-    for line in capture.get().splitlines():
-        show(line.rstrip())
+    printed(table if values else "it has no parameters", PAGE_COLUMNS)
     return EXIT_OK

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.live import Live
 
 from agents.cli.live.options import RigStatus
+from agents.cli.progress import printed
 from agents.configuration.reading_session import reading_session
 from agents.configuration.rig import RigConfig
 from agents.configuration.topics import overrides
@@ -18,7 +19,7 @@ from agents.diagnostics.status.health_watch import SILENT_S
 from agents.diagnostics.status.judgement import judge
 from agents.diagnostics.status.report import document, report
 from agents.diagnostics.status.watch import StatusWatch
-from agents.launch.process import EXIT_OK, on_stop
+from agents.launch.process import EXIT_OK, stopping
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.connection import ROUTER_WAIT_S, NoRouterError, connected
 from shared.terminal import show
@@ -38,50 +39,32 @@ def status(rig: RigConfig, options: RigStatus) -> int:
     """Show how the rig fares until stopped or nobody reads it; or once, with an exit status for all being well."""
     if options.once or not (options.json or sys.stdout.isatty()):
         return _once(rig, options)
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     with _emitting(options.json) as emit, contextlib.ExitStack() as stack:
-
-        def tell(gathered: Gathered) -> None:
-            if not emit(gathered):
-                stopped.set()
-
-        with _telling_of_no_router(rig, tell):
-            try:
-                connection = stack.enter_context(connected(reading_session(rig), None, stopped))
-            except NoRouterError:
-                if stopped.is_set():
-                    return EXIT_OK
-                raise
-        watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
-        watch.start()
+        watch = None
         while not stopped.wait(EVERY_S):
-            tell(watch.gathered())
+            if watch is None:
+                with contextlib.suppress(NoRouterError):
+                    connection = stack.enter_context(connected(reading_session(rig), ROUTER_WAIT_S, stopped))
+                    watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
+                    watch.start()
+            if stopped.is_set() or not emit(_nothing(rig) if watch is None else watch.gathered()):
+                break
     return EXIT_OK
 
 
 def _once(rig: RigConfig, options: RigStatus) -> int:
-    gathered = gathered_once(rig)
+    try:
+        with connected(reading_session(rig)) as connection, contextlib.closing(StatusWatch(connection, rig)) as watch:
+            gathered = gathered_on(watch)
+    except NoRouterError:
+        gathered = _nothing(rig)
     wrongs = judge(gathered)
     if options.json:
         show(json.dumps(document(gathered, wrongs)))
     else:
-        on_terminal = sys.stdout.isatty()
-        _print(Console(width=None if on_terminal else PAGE_COLUMNS), gathered)
+        printed(report(gathered, wrongs), None if sys.stdout.isatty() else PAGE_COLUMNS)
     return EXIT_WRONG if any(wrong.grave for wrong in wrongs) else EXIT_OK
-
-
-def gathered_once(rig: RigConfig) -> Gathered:
-    """What can be heard of a rig within a few seconds; where no router answers, that.
-
-    Raises:
-        IdentityError: where this host's certificate cannot be used.
-    """
-    try:
-        with connected(reading_session(rig)) as connection, contextlib.closing(StatusWatch(connection, rig)) as watch:
-            return gathered_on(watch)
-    except NoRouterError:
-        return _nothing(rig)
 
 
 def gathered_on(watch: StatusWatch) -> Gathered:
@@ -112,30 +95,3 @@ def _emitting(as_json: bool) -> Generator[Emit]:
             return True
 
         yield update
-
-
-@contextlib.contextmanager
-def _telling_of_no_router(rig: RigConfig, tell_of: Callable[[Gathered], None]) -> Generator[None]:
-    """Tell again and again that no router answers, until one does."""
-    answered = threading.Event()
-
-    def tell() -> None:
-        wait_s = ROUTER_WAIT_S
-        while not answered.wait(wait_s):
-            tell_of(_nothing(rig))
-            wait_s = EVERY_S
-
-    telling = threading.Thread(target=tell, name="no router", daemon=True)
-    telling.start()
-    try:
-        yield
-    finally:
-        answered.set()
-        telling.join()
-
-
-def _print(console: Console, gathered: Gathered) -> None:
-    with console.capture() as capture:
-        console.print(report(gathered, judge(gathered)))
-    for line in capture.get().splitlines():
-        show(line.rstrip())

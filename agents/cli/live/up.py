@@ -3,7 +3,7 @@
 import contextlib
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from pathlib import Path
 
 from rich.console import Console
@@ -17,14 +17,16 @@ from agents.diagnostics.status.gathered import expected_rates
 from agents.diagnostics.status.health_watch import HealthWatch, name_of
 from agents.diagnostics.status.report import watched
 from agents.launch.preflight import already_running, in_the_way
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, stopping
 from agents.launch.session_folder import SessionFolder, new_session_folder
 from agents.launch.supervisor import Change, Role, Supervisor, last_line, supervised
 from schemas.topics import MAIN
 from shared.runtime.connection import connected
-from shared.terminal import complain, say
+from shared.terminal import UsageError, complain, say
 
 EXIT_ALL_ENDED = 1
+RECORDER = "recorder"
+NO_RECORDER = "this host has no certificate of a recorder: put recorder into its runs"
 LOOK_S = 0.5
 FIRST_CONTACT_S = 30.0
 """How long a router may take to answer that is being started, on a busy machine."""
@@ -38,8 +40,8 @@ def start_all(supervisor: Supervisor, rig: RigConfig, config: Path, folder: Sess
 
     if rig.runs_here("router"):
         start("router", Role.ROUTER, "router")
-    if rig.runs_here("recorder"):
-        start("recorder", Role.RECORDER, "record", "--output", str(folder.recording), "--numbered")
+    if rig.runs_here(RECORDER):
+        start(RECORDER, Role.RECORDER, "record", "--output", str(folder.recording), "--numbered")
     if rig.runs_here("viewer"):
         start("viewer", Role.VIEWER, "view", "--output", str(folder.rerun), "--numbered", "--show", show)
     for kind, instance in rig.agents_here():
@@ -47,35 +49,52 @@ def start_all(supervisor: Supervisor, rig: RigConfig, config: Path, folder: Sess
         start(name_of(kind, instance), Role.AGENT, "run", kind.replace("_", "-"), *extra)
 
 
-def up(rig: RigConfig, options: Up) -> int:
-    """Run until stopped; a live table on a terminal, lines elsewhere."""
+@contextlib.contextmanager
+def started(rig: RigConfig, restart: bool) -> Generator[Supervisor]:
+    """Everything of this machine, with a folder of its session, for as long as it lasts.
+
+    Raises:
+        UsageError: where something is in its way.
+    """
     if problem := in_the_way(rig) or already_running(rig):
-        return complain(problem, EXIT_UNUSABLE)
-    sessions = rig.recorder.folder if rig.recorder is not None else Path("sessions")
-    try:
-        folder = new_session_folder(sessions)
-    except OSError as error:
-        return complain(f"no session can be kept in {sessions}: {error.strerror}", EXIT_UNUSABLE)
+        raise UsageError(problem)
+    folder = new_session_folder(rig.sessions)
     config = folder.path / "rig.json"
     write_config(config, rig)
-    stopped = threading.Event()
-    on_stop(stopped.set)
-    show = rig.viewer.show if rig.viewer is not None else "file"
-    with contextlib.ExitStack() as stack:
-        supervisor = stack.enter_context(supervised(options.restart))
-        start_all(supervisor, rig, config, folder, show)
+    with supervised(restart) as supervisor:
+        start_all(supervisor, rig, config, folder, rig.viewer.show if rig.viewer is not None else "file")
         said = f"rig {rig.rig}: started {len(supervisor.children)} processes"
-        say(f"{said}; {kept_in(rig, folder.path)}; stop with Ctrl-C")
-        connection = stack.enter_context(connected(reading_session(rig), FIRST_CONTACT_S, stopped))
-        expected = [name_of(kind, instance) for kind, instance in rig.agents_here()]
-        status = _watch(supervisor, HealthWatch(connection, expected), expected_rates(rig), stopped)
+        say(f"{said}; {_kept_in(rig, folder.path)}; stop with Ctrl-C")
+        yield supervisor
     say("every process was stopped")
     if rig.recorder is not None:
-        say(last_line(folder.log("recorder")))
-    return status
+        say(last_line(folder.log(RECORDER)))
 
 
-def kept_in(rig: RigConfig, folder: Path) -> str:
+def start_recorder(supervisor: Supervisor, rig: RigConfig, folder: SessionFolder) -> bool:
+    """Record beside a rig that runs; whether this host has the certificate for it."""
+    identity = rig.identity_of(RECORDER)
+    if identity is not None and not identity.certificate.exists():
+        return False
+    config = folder.path / "rig.json"
+    write_config(config, rig)
+    arguments = ["record", "--output", str(folder.recording), "--config", str(config)]
+    supervisor.add(RECORDER, arguments, folder.log(RECORDER), Role.RECORDER)
+    return True
+
+
+def up(rig: RigConfig, options: Up) -> int:
+    """Run until stopped; a live table on a terminal, lines elsewhere."""
+    stopped = stopping()
+    with (
+        started(rig, options.restart) as supervisor,
+        connected(reading_session(rig), FIRST_CONTACT_S, stopped) as connection,
+    ):
+        health = HealthWatch(connection, [name_of(kind, instance) for kind, instance in rig.agents_here()])
+        return _watch(supervisor, health, expected_rates(rig), stopped)
+
+
+def _kept_in(rig: RigConfig, folder: Path) -> str:
     """What of a session lies in its folder."""
     kept = {"recording (session.mcap)": rig.recorder, "what Rerun shows (session.rrd)": rig.viewer}
     told = [what for what, section in kept.items() if section is not None]

@@ -13,22 +13,19 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
-from agents.cli.live.up import FIRST_CONTACT_S, kept_in, start_all, write_config
+from agents.cli.live.up import FIRST_CONTACT_S, started
 from agents.cli.page.options import Page
 from agents.cli.page.recording import RigRecording
 from agents.cli.page.trials import trials_of
 from agents.configuration.hosts import OPERATOR
 from agents.configuration.rig import RigConfig
-from agents.configuration.this_host import rig_of
 from agents.diagnostics.status.health_watch import Fare
 from agents.diagnostics.status.judgement import judge
 from agents.diagnostics.status.watch import StatusWatch
 from agents.launch.audit import audit_of
 from agents.launch.host_facts import telling
-from agents.launch.preflight import already_running, in_the_way
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.launch.session_folder import new_session_folder
-from agents.launch.supervisor import Supervisor, last_line, supervised
+from agents.launch.process import EXIT_OK, stopping
+from agents.launch.supervisor import Supervisor
 from agents.operator.desk import Desk
 from agents.operator.page_server import Access, server_tls, serving
 from agents.operator.pictures import Resample
@@ -39,7 +36,7 @@ from shared.rectification import RectificationError, rectification, rectify_imag
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import ROUTER_WAIT_S, Connection, NoRouterError, connected
 from shared.runtime.session import on_loopback
-from shared.terminal import complain, say
+from shared.terminal import UsageError, say
 
 LOGGER = logging.getLogger("suturegrasp.page")
 LOOK_S = 0.5
@@ -48,15 +45,14 @@ LOCAL_NAMES = (LOOPBACK, "localhost", "[::1]")
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
-def run(options: Page) -> int:
+def run(rig: RigConfig, options: Page) -> int:
     """Serve until stopped; the exit status."""
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
+    tls = _tls(rig, options.listen)
+    begun = started(rig, restart=True) if options.start else contextlib.nullcontext()
+    within_s = FIRST_CONTACT_S if options.start else ROUTER_WAIT_S
     try:
-        rig = rig_of(options.config, options.host)
-        tls = _tls(rig, options.listen)
-        with _started(rig, options) as supervisor, contextlib.ExitStack() as stack:
-            within_s = FIRST_CONTACT_S if options.start else ROUTER_WAIT_S
+        with begun as supervisor, contextlib.ExitStack() as stack:
             connection = stack.enter_context(connected(rig.session, within_s, stopped))
             watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
             recording = stack.enter_context(contextlib.closing(RigRecording(rig, connection)))
@@ -72,10 +68,12 @@ def run(options: Page) -> int:
                 trials=None if options.experiment is None else trials_of(options.experiment),
             )
             asyncio.run(_serve(connection, around, options, tls, _until(stopped, supervisor)))
-    except (ConfigError, NoRouterError) as error:
-        return EXIT_OK if stopped.is_set() else complain(str(error), EXIT_UNUSABLE)
+    except NoRouterError as error:
+        if stopped.is_set():
+            return EXIT_OK
+        raise UsageError(str(error)) from None
     except OSError as error:
-        return complain(f"the page cannot be served on port {options.port}: {error.strerror or error}", EXIT_UNUSABLE)
+        raise UsageError(f"the page cannot be served on port {options.port}: {error.strerror or error}") from None
     return EXIT_OK
 
 
@@ -143,26 +141,6 @@ def _tls(rig: RigConfig, listen: str | None) -> ssl.SSLContext | None:
 
 def _in_address(host: str) -> str:
     return f"[{host}]" if ":" in host else host
-
-
-@contextlib.contextmanager
-def _started(rig: RigConfig, options: Page) -> Generator[Supervisor | None]:
-    """Everything on this machine, where that is wanted."""
-    if not options.start:
-        yield None
-        return
-    if problem := in_the_way(rig) or already_running(rig):
-        raise ConfigError(problem)
-    folder = new_session_folder(rig.recorder.folder if rig.recorder is not None else RigRecording.FOLDER)
-    config = folder.path / "rig.json"
-    write_config(config, rig)
-    with supervised(restart=True) as supervisor:
-        start_all(supervisor, rig, config, folder, rig.viewer.show if rig.viewer is not None else "file")
-        say(f"started {len(supervisor.children)} processes; {kept_in(rig, folder.path)}; stop with Ctrl-C")
-        yield supervisor
-    say("every process was stopped")
-    if rig.recorder is not None:
-        say(last_line(folder.log("recorder")))
 
 
 def _until(stopped: threading.Event, supervisor: Supervisor | None) -> Callable[[], bool]:

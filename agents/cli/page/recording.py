@@ -3,12 +3,12 @@
 import contextlib
 import threading
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-from agents.cli.live.up import write_config
+from agents.cli.live.up import NO_RECORDER, RECORDER, start_recorder
 from agents.configuration.rig import RigConfig
 from agents.launch.session_folder import new_session_folder
-from agents.launch.supervisor import Role, Supervisor, last_line
+from agents.launch.supervisor import Supervisor, last_line
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth, LogLevel, LogRecord
@@ -17,14 +17,11 @@ from shared.clock import monotonic_s
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
 
-RECORDER = "recorder"
 SILENT_S = 3.5
 
 
 class RigRecording:
     """What records this rig."""
-
-    FOLDER: ClassVar[Path] = Path("sessions")
 
     def __init__(self, rig: RigConfig, connection: Connection) -> None:
         self._rig, self._lock = rig, threading.Lock()
@@ -67,16 +64,9 @@ class RigRecording:
             self._end()
 
     def _begin(self) -> str:
-        identity = self._rig.identity_of(RECORDER)
-        if identity is not None and not identity.certificate.exists():
-            return "This host has no certificate of a recorder: put recorder into its runs."
-        section = self._rig.recorder
-        folder = new_session_folder(section.folder if section is not None else self.FOLDER)
-        config = folder.path / "rig.json"
-        write_config(config, self._rig)
-        supervisor = Supervisor(restart=False)
-        arguments = ["record", "--output", str(folder.recording), "--config", str(config)]
-        supervisor.add(RECORDER, arguments, folder.log(RECORDER), Role.RECORDER)
+        folder, supervisor = new_session_folder(self._rig.sessions), Supervisor(restart=False)
+        if not start_recorder(supervisor, self._rig, folder):
+            return f"{NO_RECORDER[:1].upper()}{NO_RECORDER[1:]}."
         with self._lock:
             self._own, self._losses, self._log = (supervisor, folder.recording), [], folder.log(RECORDER)
         return ""

@@ -4,10 +4,11 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from agents.cli.experiment.command import JOURNAL, write
+from agents.cli.experiment.command import JOURNAL, read, write
 from agents.experiment.journal import CAUSES, Attempt, Journal, Trial
 from shared.clock import now_ns
-from shared.runtime.config import ConfigError, parse_config
+from shared.runtime.config import ConfigError
+from shared.terminal import UsageError
 
 
 class JournalTrials:
@@ -43,13 +44,16 @@ class JournalTrials:
                 raise RuntimeError("no goal of the list was begun")
             if not held and cause not in CAUSES:
                 raise RuntimeError("say why it failed")
-            told = {"outcome": "held"} if held else {"outcome": "failed", "cause": cause}
-            measured = {"probability": plan["probability"], "slide_m": 1e-3 * plan["slide_mm"]}
-            attempt = Attempt.model_validate(
-                {"trial": self._journal.begun[0], "plan_id": plan["id"], "note": note, "execution_s": took_s}
-                | told
-                | measured
-                | {"at_ns": now_ns()}
+            attempt = Attempt(
+                trial=self._journal.begun[0],
+                outcome="held" if held else "failed",
+                cause="" if held else cause,  # pyright: ignore[reportArgumentType] - one of CAUSES
+                note=note,
+                plan_id=plan["id"],
+                probability=plan["probability"],
+                slide_m=1e-3 * plan["slide_mm"],
+                execution_s=took_s,
+                at_ns=now_ns(),
             )
             self._change(self._journal.note(attempt))
             return f"{attempt.trial.thread}, {attempt.trial.policy} at s = {attempt.trial.s:.3f}: {attempt.outcome}."
@@ -60,7 +64,7 @@ class JournalTrials:
     def _change(self, journal: Journal) -> None:
         try:
             write(self._folder, journal)
-        except (OSError, RuntimeError) as error:
+        except (OSError, UsageError) as error:
             raise RuntimeError(f"the journal cannot be written: {error}") from None
         self._journal = journal
 
@@ -72,9 +76,7 @@ def trials_of(folder: Path) -> JournalTrials:
         ConfigError: where it holds none.
     """
     path = folder / JOURNAL
-    try:
-        return JournalTrials(folder, parse_config(path.read_text(encoding="utf-8"), Journal, str(path)))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
+    if not path.is_file():
         begin = f"begin it with suturegrasp experiment {folder} --threads ..., and leave it with Ctrl-C"
-        raise ConfigError(f"the journal {path} cannot be read: {reason}; {begin}") from None
+        raise ConfigError(f"there is no journal {path}; {begin}")
+    return JournalTrials(folder, read(path))

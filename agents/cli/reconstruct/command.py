@@ -1,58 +1,47 @@
 """`suturegrasp reconstruct`: a stereo pair from files becomes a thread in 3D, without a router."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
-from agents.camera.image_files import ImageFileError, read_mask, read_pair, read_side_by_side
+from agents.camera.image_files import read_mask, read_pair, read_side_by_side
 from agents.cli.reconstruct.options import Reconstruct, check
 from agents.cli.reconstruct.pipeline import Pair, PipelineResult, reconstruct_pair
 from agents.cli.reconstruct.result_file import observed_points, result_text
-from agents.cli.whole_file import OutputError, whole_file
+from agents.cli.whole_file import whole_file
 from agents.perception.prompt import reach_px
 from agents.perception.segmentation.choice import segmenters_with
-from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableFiles
+from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import PROMPTABLE
 from agents.viewer.picture import draw_picture
 from schemas.messages import Judgement, Severity, Status
 from shared.arc_length import length
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
 from shared.images import decode_image
-from shared.rectification import RectificationError
 from shared.terminal import UsageError, complain, say, warn
 from shared.units import unit_name
 
-EXIT_OK, EXIT_UNUSABLE_INPUT, EXIT_FAILED = 0, 2, 3
+EXIT_OK, EXIT_FAILED = 0, 3
 
 
 def run(options: Reconstruct) -> int:
     """Reconstruct as the options say and return the exit status; the one line about a failure goes to stderr."""
-    try:
-        check(options)
-        images = _read_images(options)
-        read = _read_calibration(options, images)
-        masks = _read_masks(options, images)
-        pixel = _pixel(options, images)
-        result = reconstruct_pair(
-            images,
-            read.calibration,
-            masks=masks,
-            segmenter=options.segmenter,
-            method=options.method,
-            segmenters=segmenters_with(_promptable_files(options)),
-            prompt_px=None if pixel is None else np.array(pixel),
-        )
-        _write(options, result, read.judgements)
-    except (
-        UsageError,
-        ImageFileError,
-        CalibrationError,
-        RectificationError,
-        PromptableFileError,
-        OutputError,
-    ) as error:
-        return complain(str(error), EXIT_UNUSABLE_INPUT)
-    except MemoryError:
-        return complain("the memory does not suffice for images of this size; give smaller ones", EXIT_UNUSABLE_INPUT)
+    check(options)
+    images = _read_images(options)
+    read = _read_calibration(options, images)
+    masks = _read_masks(options, images)
+    pixel = _pixel(options, images)
+    result = reconstruct_pair(
+        images,
+        read.calibration,
+        masks=masks,
+        segmenter=options.segmenter,
+        method=options.method,
+        segmenters=segmenters_with(_promptable_files(options)),
+        prompt_px=None if pixel is None else np.array(pixel),
+    )
+    _write(options, result, read.judgements)
     if result.reconstruction.status is not Status.OK:
         return complain(_why_none(result, pixel), EXIT_FAILED)
     for judgement in (*read.judgements, *result.observations.judgements):
@@ -67,11 +56,13 @@ def run(options: Reconstruct) -> int:
 
 
 def _read_images(options: Reconstruct) -> Pair:
-    if options.left is not None and options.right is not None:
-        return read_pair(options.left, options.right)
-    if options.stereo is not None:
-        return read_side_by_side(options.stereo)
-    raise UsageError("give both --left and --right, or one side-by-side image with --stereo")
+    match options.left, options.right, options.stereo:
+        case Path() as left, Path() as right, None:
+            return read_pair(left, right)
+        case None, None, Path() as stereo:
+            return read_side_by_side(stereo)
+        case _:
+            raise UsageError("give either both --left and --right, or one side-by-side image with --stereo")
 
 
 def _pixel(options: Reconstruct, images: Pair) -> tuple[float, float] | None:

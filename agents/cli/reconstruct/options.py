@@ -1,26 +1,22 @@
-"""The options of `suturegrasp reconstruct`, and what is wrong with them before any image is read."""
+"""The options of `suturegrasp reconstruct` and `segment`, and what is wrong with them before any image is read."""
 
-import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
-from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
-from agents.reconstruction.method_names import DEFAULT_METHOD, METHOD_NAMES
+from agents.cli.on_rig import OptionalPath, OptionalUnit
+from agents.cli.places import check_outputs
+from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE
+from agents.reconstruction.method_names import DEFAULT_METHOD
 from shared.terminal import UsageError
-from shared.units import METRES_PER_UNIT
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".txt")
 
-OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
-
-
-def _choice(names: Iterable[str]) -> str:
-    return f"{{{','.join(names)}}}"
+Segmenter = Literal["mask", "threshold", "network", "promptable"]
 
 
 @dataclass(frozen=True)
@@ -41,13 +37,13 @@ class Reconstruct:
     """The right image."""
     stereo: OptionalPath = None
     """Both images side by side in one file, left first."""
-    unit: Annotated[str | None, tyro.conf.arg(metavar=_choice(METRES_PER_UNIT))] = None
+    unit: OptionalUnit = None
     """The calibration's unit of length, where its file does not say."""
     left_mask: OptionalPath = None
     """Coverage of the left image by thread, 8 bits; leave both masks out to have the thread found."""
     right_mask: OptionalPath = None
     """Coverage of the right image by thread."""
-    segmenter: Annotated[str | None, tyro.conf.arg(metavar=_choice(SEGMENTER_NAMES))] = None
+    segmenter: Annotated[Segmenter | None, tyro.conf.arg(metavar="{mask,threshold,network,promptable}")] = None
     """How thread is found: as the masks say, by contrast to a plain ground, or as ridges of one colour on tissue,
     or by a network that is told which is meant.
     Default: what suits the image."""
@@ -61,7 +57,7 @@ class Reconstruct:
     """What the encoder's hash must be."""
     promptable_decoder_sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
     """What the decoder's hash must be."""
-    method: Annotated[str, tyro.conf.arg(metavar=_choice(METHOD_NAMES))] = DEFAULT_METHOD
+    method: Literal["paper", "refined"] = DEFAULT_METHOD
     """How the curve is found."""
     picture: OptionalPath = None
     """Also draw both images with the thread, its confidence and its depth (PNG or JPEG)."""
@@ -91,34 +87,14 @@ class Reconstruct:
 
 def check(options: Reconstruct) -> None:
     """Raise a UsageError for options that do not go together, and for outputs that must not be written."""
-    _check_names(options)
-    _check_images(options)
     _check_masks(options)
     _check_prompt(options)
     if not 1 <= len(options.calibration) <= 2:
         raise UsageError(f"--calibration takes one path, or two (left and right), not {len(options.calibration)}")
     if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
         raise UsageError(f"--picture {options.picture} must end in .png or .jpg")
-    for option, path in options.outputs.items():
-        check_place(option, path)
-    _check_nothing_is_overwritten(options)
-
-
-def _check_names(options: Reconstruct) -> None:
-    for option, name, known in (
-        ("--unit", options.unit, METRES_PER_UNIT),
-        ("--segmenter", options.segmenter, SEGMENTER_NAMES),
-        ("--method", options.method, METHOD_NAMES),
-    ):
-        if name is not None and name not in known:
-            raise UsageError(f"{option} {name} is unknown; choose from {', '.join(known)}")
-
-
-def _check_images(options: Reconstruct) -> None:
-    if options.stereo is not None and (options.left is not None or options.right is not None):
-        raise UsageError("give either --stereo or --left and --right, not both")
-    if options.stereo is None and (options.left is None or options.right is None):
-        raise UsageError("give both --left and --right, or one side-by-side image with --stereo")
+    calibration = (("--calibration", path) for path in _calibration_files(options.calibration))
+    check_outputs(options.outputs, (*options.inputs.items(), *calibration))
 
 
 def _check_masks(options: Reconstruct) -> None:
@@ -142,26 +118,6 @@ def _check_prompt(options: Reconstruct) -> None:
         raise UsageError("masks are given, so --pixel would not be used; give one or the other")
 
 
-def check_place(option: str, path: Path) -> None:
-    """Raise a UsageError where no file can be written."""
-    if path.is_dir():
-        raise UsageError(f"{option} {path} is a folder; give the name of a file")
-    if not path.parent.is_dir():
-        raise UsageError(f"the folder {path.parent} of {option} {path} does not exist; create it first")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise UsageError(f"the folder {path.parent} of {option} {path} cannot be written to; choose another")
-
-
-def _check_nothing_is_overwritten(options: Reconstruct) -> None:
-    inputs = [*options.inputs.items(), *(("--calibration", path) for path in _calibration_files(options.calibration))]
-    written: list[tuple[str, Path]] = []
-    for option, path in options.outputs.items():
-        for other_option, other in (*inputs, *written):
-            if is_one_file(path, other):
-                raise UsageError(f"{option} {path} would overwrite {other_option} {other}; give another name")
-        written.append((option, path))
-
-
 def _calibration_files(paths: Iterable[Path]) -> Iterator[Path]:
     """The files of a calibration; of a folder, all that may belong to it, unless an earlier run has written them."""
     # help and operator commands need none of what a result is made of
@@ -175,8 +131,37 @@ def _calibration_files(paths: Iterable[Path]) -> Iterator[Path]:
             yield path
 
 
-def is_one_file(path: Path, other: Path) -> bool:
-    """Whether both paths lead to the same file, which may not be there yet."""
-    if os.path.realpath(path) == os.path.realpath(other):
-        return True
-    return path.exists() and other.exists() and path.samefile(other)
+@dataclass(frozen=True)
+class Segment:
+    """Say of each pixel of one image whether it shows ground, thread, needle or instrument.
+
+    By the project's network, which perception looks by as well: docs/model_card.md says what it has learned.
+
+    Grey images and those of 16 bits are taken as colour of 8 bits. Exit status: 0 ok, whether or not there is any
+    thread, 2 unusable input.
+    """
+
+    image: Annotated[Path, tyro.conf.arg(metavar="PATH")]
+    """The image, of one eye."""
+    output: Annotated[Path, tyro.conf.arg(metavar="PNG")]
+    """Where the classes go, 8 bits a pixel: 0 ground, 1 thread, 2 needle, 3 instrument."""
+    scores: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    """Also write how likely each pixel is thread (blue), needle (green) and instrument (red), 0 to 255."""
+    picture: OptionalPath = None
+    """Also draw the image with thread tinted green, needles yellow and instruments blue (PNG or JPEG)."""
+
+    @property
+    def outputs(self) -> dict[str, Path]:
+        """The files to be written, by option."""
+        named = {"--output": self.output, "--scores": self.scores, "--picture": self.picture}
+        return {option: path for option, path in named.items() if path is not None}
+
+
+def check_segment(options: Segment) -> None:
+    """Raise a UsageError for files that must not or cannot be written."""
+    for option, path in options.outputs.items():
+        suffixes = PICTURE_SUFFIXES if option == "--picture" else (".png",)
+        # a device such as /dev/stdout takes whatever it is given
+        if path.suffix.lower() not in suffixes and (path.is_file() or not path.exists()):
+            raise UsageError(f"{option} {path} must end in {' or '.join(suffixes)}")
+    check_outputs(options.outputs, [("--image", options.image)])

@@ -2,34 +2,31 @@
 
 from pathlib import Path
 
+from agents.cli.places import check_folder
 from agents.cli.recordings.options import Export
-from agents.inspection.export import FORMATS, export
-from agents.launch.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
+from agents.inspection.export import export
+from agents.launch.process import EXIT_DAMAGED, EXIT_OK
 from shared.recording.entry import RecordingError
-from shared.terminal import complain, say, warn
+from shared.terminal import UsageError, complain, say, warn
 
 FEWEST_POINTS, MOST_POINTS = 2, 10_000
 
 
 def run(options: Export) -> int:
     """Write the tables, and say what they hold."""
-    if refusal := _refused(options):
-        return complain(refusal, EXIT_UNUSABLE)
+    if not FEWEST_POINTS <= options.points <= MOST_POINTS:
+        raise UsageError(f"--points {options.points} must lie within {FEWEST_POINTS} and {MOST_POINTS}")
+    check_folder("--output", options.output)
+    if not options.recording.is_file():
+        raise UsageError(f"{options.recording} is no file; give a recording")
     new = not options.output.exists()
+    options.output.mkdir(parents=True, exist_ok=True)
     try:
-        if not options.recording.is_file():
-            return complain(f"{options.recording} is no file; give a recording", EXIT_UNUSABLE)
-        options.output.mkdir(parents=True, exist_ok=True)
         exported = export(options.recording, options.output, options.format, options.points)
-    except RecordingError as error:
-        _empty(options.output, new)
-        return complain(str(error), EXIT_UNUSABLE)
-    except KeyboardInterrupt:
+    except (RecordingError, KeyboardInterrupt):
         # tables that were cut short look whole
         _empty(options.output, new)
         raise
-    except OSError as error:
-        return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
     told = ", ".join(f"{count} rows of {name}" for name, count in exported.rows.items())
     say(f"{options.output}: {told or 'nothing to export'}; README.txt says what they mean")
     # damage is told at the end
@@ -51,20 +48,3 @@ def _empty(folder: Path, remove: bool) -> None:
         table.unlink()
     if remove:
         folder.rmdir()
-
-
-def _refused(options: Export) -> str:
-    """Why this cannot be carried out; empty where it can."""
-    if options.format not in FORMATS:
-        return f"--format {options.format} is unknown; choose from {', '.join(FORMATS)}"
-    if not FEWEST_POINTS <= options.points <= MOST_POINTS:
-        return f"--points {options.points} must lie within {FEWEST_POINTS} and {MOST_POINTS}"
-    return _not_empty(options.output)
-
-
-def _not_empty(folder: Path) -> str:
-    if folder.exists() and not folder.is_dir():
-        return f"--output {folder} is a file; give a folder that is new or empty"
-    if folder.is_dir() and any(folder.iterdir()):
-        return f"--output {folder} holds something already; give a folder that is new or empty"
-    return ""

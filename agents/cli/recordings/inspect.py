@@ -7,8 +7,9 @@ import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from agents.cli.places import check_outputs
 from agents.cli.recordings.options import Inspect
-from agents.cli.whole_file import OutputError, whole_file
+from agents.cli.whole_file import whole_file
 from agents.inspection.comparison import comparison_tables
 from agents.inspection.document import document, lines, names_of
 from agents.inspection.page import comparison_page, session_page
@@ -16,52 +17,29 @@ from agents.inspection.pictures import pictures_of
 from agents.inspection.session import Session, read_session
 from agents.inspection.tables import head_lines, session_tables
 from agents.inspection.time_offsets import ArmOffset, offset_table, time_offsets
-from agents.launch.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
-from shared.recording.entry import RecordingError
-from shared.terminal import complain, show, warn
+from agents.launch.process import EXIT_DAMAGED, EXIT_OK
+from shared.terminal import UsageError, show, warn
 
 
 def run(options: Inspect) -> int:
     """Read the recordings and tell of them."""
     if not options.recordings:
-        return complain("give a recording, or two to compare them", EXIT_UNUSABLE)
+        raise UsageError("give a recording, or two to compare them")
     if options.time_offset and len(options.recordings) > 1:
-        return complain("--time-offset is of one recording; give one", EXIT_UNUSABLE)
-    if refusal := _page_refused(options):
-        return complain(refusal, EXIT_UNUSABLE)
-    try:
-        sessions = [read_session(path) for path in options.recordings]
-    except RecordingError as error:
-        return complain(str(error), EXIT_UNUSABLE)
-    except OSError as error:
-        return complain(f"{error.filename} cannot be read: {error.strerror or error}", EXIT_UNUSABLE)
+        raise UsageError("--time-offset is of one recording; give one")
+    if options.html is not None:
+        check_outputs({"--html": options.html}, (("the recording", path) for path in options.recordings))
+    sessions = [read_session(path) for path in options.recordings]
     names = names_of(list(options.recordings))
     offsets = time_offsets(sessions[0].path) if options.time_offset else None
     for line in _told(sessions, names, options.json, offsets):
         show(line)
     if options.html is not None:
-        try:
-            _write(options.html, _page(sessions, names))
-        except OutputError as error:
-            return complain(str(error), EXIT_UNUSABLE)
+        _write(options.html, _page(sessions, names))
     damaged = [session for session in sessions if session.damage]
     for session in damaged:
         warn(session.damage)
     return EXIT_DAMAGED if damaged else EXIT_OK
-
-
-def _page_refused(options: Inspect) -> str:
-    """Why a page cannot go where it is wanted; empty where it can."""
-    path = options.html
-    if path is None:
-        return ""
-    if path.is_dir():
-        return f"--html {path} is a folder; give the name of a file"
-    if not path.parent.is_dir():
-        return f"the folder {path.parent} of --html {path} does not exist; create it first"
-    if any(path.exists() and other.exists() and path.samefile(other) for other in options.recordings):
-        return f"--html {path} would overwrite the recording; give another name"
-    return ""
 
 
 def _told(

@@ -1,21 +1,16 @@
-"""The options of the commands that work on recordings, and which module carries each out."""
+"""The options of the commands that work on recordings."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
-OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
+from agents.cli.on_rig import OnRig, OptionalPath
 
 
 @dataclass(frozen=True)
-class OnRecording:
-    """A command that reads recordings; it needs no rig that runs."""
-
-
-@dataclass(frozen=True)
-class Inspect(OnRecording):
+class Inspect:
     """Say what a recording holds and lacks, how fast it was, and what came of its grasps; two or more are compared.
 
     Exit status: 0, 2 for no recording, 3 for a damaged one, of which what could be read was told.
@@ -33,7 +28,7 @@ class Inspect(OnRecording):
 
 
 @dataclass(frozen=True)
-class Export(OnRecording):
+class Export:
     """Turn a recording into tables: frames, curves, plans, waypoints, states of the arms, goals and outcomes.
 
     Exit status: 0, 2 for no recording, 3 for a damaged one, of which what could be read was written.
@@ -43,14 +38,14 @@ class Export(OnRecording):
     """The recording."""
     output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """A folder that is new or empty."""
-    format: Annotated[str, tyro.conf.arg(metavar="{csv,npz,json}")] = "csv"
+    format: Literal["csv", "npz", "json"] = "csv"
     """What the tables are written as."""
     points: int = 50
     """How many points of each curve, evenly spaced along it."""
 
 
 @dataclass(frozen=True)
-class Cut(OnRecording):
+class Cut:
     """Write a stretch of a recording to a file of its own, which all that works on recordings takes as well.
 
     Exit status: 0, 2 for no recording, 3 for a damaged one, of which what could be read was written.
@@ -72,7 +67,7 @@ class Cut(OnRecording):
 
 
 @dataclass(frozen=True)
-class Replay(OnRecording):
+class Replay:
     """Publish a recording on the live keys again, as it was received: for running agents, or to look at it.
 
     What live agents publish themselves is left out, and so is what an arm would act on. On a terminal, space holds the
@@ -99,12 +94,12 @@ class Replay(OnRecording):
     """Begin held; Enter steps to the next frame."""
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """The rig on whose keys it is published. Default: the configured or else the recorded one."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    config: OptionalPath = None
     """The rig's configuration (TOML), which names the router; without it, the one on this machine."""
 
 
 @dataclass(frozen=True)
-class Recompute(OnRecording):
+class Recompute:
     """Feed agents, in this process, exactly what they consumed, and compare what they say now with what they said.
 
     Nothing is published (docs/recordings.md). Exit status: 0 the same, 1 different, 2 nothing to compare, 3
@@ -119,7 +114,7 @@ class Recompute(OnRecording):
     """A setting that is to be otherwise, such as reconstruction.method=paper; may be given often."""
     config: OptionalPath = None
     """The rig's configuration (TOML) in place of the recorded one."""
-    tolerances: Annotated[str, tyro.conf.arg(metavar="{auto,none,table}")] = "auto"
+    tolerances: Literal["auto", "none", "table"] = "auto"
     """Whether differences below those of docs/recordings.md pass. Default: where settings, versions or the machine
     are not those of the recording."""
     output: Annotated[Path | None, tyro.conf.arg(metavar="RRD|MCAP")] = None
@@ -127,7 +122,7 @@ class Recompute(OnRecording):
 
 
 @dataclass(frozen=True)
-class TrackTool(OnRecording):
+class TrackTool(OnRig):
     """Find an arm's instrument in the images, and say how far it is from where registration and joints have it.
 
     In a recording, or with --live on the running rig until stopped; it warns whenever that is more than --limit.
@@ -139,10 +134,6 @@ class TrackTool(OnRecording):
     """A recording with frames, calibration and the arm's states."""
     live: bool = False
     """Look at the running rig instead."""
-    config: OptionalPath = None
-    """With --live: the rig's configuration (TOML)."""
-    host: Annotated[str | None, tyro.conf.arg(metavar="HOST")] = None
-    """With --live: which of the rig's hosts this machine is."""
     views: Annotated[int | None, tyro.conf.arg(metavar="COUNT")] = None
     """End after so many frames were looked at."""
     arm: str = "psm1"

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import schemas
+from agents.cli.places import check_new, check_outputs
 from agents.cli.recordings.config import (
     ATTACHED,
     attached_config,
@@ -29,7 +30,7 @@ from agents.cli.recordings.config import (
 )
 from agents.cli.recordings.options import Recompute
 from agents.cli.recordings.recompute_report import ThroughResult, lacking, report
-from agents.cli.whole_file import OutputError, whole_file
+from agents.cli.whole_file import whole_file
 from agents.configuration.rig import RigConfig
 from agents.launch.builders import build
 from agents.launch.process import EXIT_DAMAGED
@@ -37,46 +38,36 @@ from agents.recorder.cutting import DerivedFile, derived_from
 from agents.registry import NAMES
 from agents.replay.differences import compared
 from agents.replay.through import Outcome, Stage, replay_through
-from agents.viewer.sinks import ViewerError
 from schemas.checks import MessageError
 from schemas.topics import MAIN, is_known, topic_of
 from shared.clock import monotonic_s
 from shared.recording.completeness import Completeness, completeness, no_message_in
 from shared.recording.derivation import MADE_NO_MORE, UNKNOWN_TOPICS, Anew
-from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, UntilDamage, read_attachments
+from shared.recording.mcap_file import Entry, Note, RecordingWriter, UntilDamage, read_attachments
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.parameters import ALLOWED
-from shared.runtime.replay import Place, ReplayError, place_of
-from shared.terminal import complain, say, show, warn
+from shared.runtime.replay import Place, place_of
+from shared.terminal import UsageError, say, show, warn
 
-EXIT_SAME, EXIT_DIFFERENT, EXIT_UNUSABLE = 0, 1, 2
-AUTO, NONE, TABLE = "auto", "none", "table"
+EXIT_SAME, EXIT_DIFFERENT = 0, 1
 RUN = "run"
 """The note of a recording that names the versions of what made it."""
 COMPUTING = ("numpy", "opencv-python-headless", "scipy")
 """Packages whose versions may round differently."""
 
 
-class UnusableError(ValueError):
-    """A replay that cannot be made; the text says why, and what to do."""
-
-
 def run(options: Recompute) -> int:
     """Replay, say what differs, write what is asked for, and return the exit status."""
     try:
         result = replayed(options)
-        for doubt in result.said.doubts_of(result.damage):
-            warn(doubt)
-        for line in report(result):
-            show(line)
-        if options.output is not None:
-            _write(options.output, options.recording, result)
-    except (UnusableError, ConfigError, RecordingError, ReplayError, OutputError, ViewerError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
     except MessageError as error:
-        return complain(f"{options.recording} holds a message that cannot be read: {error}", EXIT_UNUSABLE)
-    except OSError as error:
-        return complain(f"{options.recording} cannot be read: {error.strerror or error}", EXIT_UNUSABLE)
+        raise UsageError(f"{options.recording} holds a message that cannot be read: {error}") from None
+    for doubt in result.said.doubts_of(result.damage):
+        warn(doubt)
+    for line in report(result):
+        show(line)
+    if options.output is not None:
+        _write(options.output, options.recording, result)
     if not result.comparison.is_same:
         return EXIT_DIFFERENT
     return EXIT_DAMAGED if result.damage else EXIT_SAME
@@ -86,19 +77,19 @@ def replayed(options: Recompute) -> ThroughResult:
     """Replay and compare, without a word.
 
     Raises:
-        UnusableError, ConfigError, RecordingError, ReplayError, MessageError, OSError: where that cannot be done.
+        UsageError, ConfigError, RecordingError, ReplayError, MessageError, OSError: where that cannot be done.
     """
-    _check(options)
+    _check_output(options)
     started_s = monotonic_s()
     entries, notes, unknown, damage = _read(options.recording)
     if not entries:
-        raise UnusableError(no_message_in(options.recording, damage))
+        raise UsageError(no_message_in(options.recording, damage))
     try:
         given, recorded = _configurations(options)
     except ConfigError as error:
         if not damage or options.config is not None:
             raise
-        raise UnusableError(f"{damage}, and its configuration is none ({error}); give one by --config") from None
+        raise UsageError(f"{damage}, and its configuration is none ({error}); give one by --config") from None
     config = with_simulated_arms(changed(given, options.set))
     changing = [setting for setting in options.set if changed(given, (setting,)) != given]
     as_recorded = with_simulated_arms(recorded) if recorded is not None and config != recorded else None
@@ -116,7 +107,7 @@ def replayed(options: Recompute) -> ThroughResult:
     )
     published = {(e.key, e.epoch, e.sequence): e.published_ns for e in entries}
     outputs = [output for outcome in outcomes for output in outcome.outputs]
-    exactly = options.tolerances == NONE or (options.tolerances == AUTO and not otherwise)
+    exactly = options.tolerances == "none" or (options.tolerances == "auto" and not otherwise)
     of_another = made_by.get("suturegrasp", schemas.__version__) != schemas.__version__
     comparison = compared(outputs, lambda r: published[r.key, r.epoch, r.sequence], exactly, of_another)
     return ThroughResult(
@@ -206,7 +197,7 @@ def _stages(config: RigConfig, names: Sequence[str], recorded: RigConfig | None)
     for name in (name.strip() for name in names):
         kind, _, instance = name.partition("/")
         if kind not in NAMES:
-            raise UnusableError(f"--through {name!r} is no agent that can be replayed; choose from {', '.join(NAMES)}")
+            raise UsageError(f"--through {name!r} is no agent that can be replayed; choose from {', '.join(NAMES)}")
         instances = [i for k, i in config.agents_here() if k == kind and instance in ("", i)]
         if not instances:
             raise ConfigError(f"the configuration of this recording has no {name}; give another one by --config")
@@ -242,7 +233,7 @@ def _check_outputs(stages: Sequence[Stage], entries: list[Entry], damage: str) -
     if not any(_is_of(key, *stage.name.partition("/")[::2]) for stage in stages for key in keys):
         silent = ", ".join(stage.name for stage in stages)
         of_this = f"{damage}, which" if damage else "the recording"
-        raise UnusableError(f"{of_this} holds no output of {silent}; it has some of: {', '.join(spoke) or 'no agent'}")
+        raise UsageError(f"{of_this} holds no output of {silent}; it has some of: {', '.join(spoke) or 'no agent'}")
 
 
 def _is_of(key: str, kind: str, instance: str) -> bool:
@@ -257,7 +248,7 @@ def _check_settings(settings: Iterable[str], given: RigConfig, agents: Sequence[
     for setting in settings:
         after = with_simulated_arms(changed(given, (setting,)))
         if after != before and in_force(before, after, agents) == before:
-            raise UnusableError(
+            raise UsageError(
                 f"--set {setting} changes nothing, for {', '.join(agents)} does not read it; "
                 "name the agent that does by --through"
             )
@@ -268,17 +259,11 @@ def _check_repeatable(outcomes: list[Outcome], recorded: Set[Place], lacks: str)
     if not any(outcome.outputs for outcome in outcomes):
         silent = ", ".join(outcome.stage for outcome in outcomes)
         nothing = f"{silent} said nothing in this recording, so that there is nothing to compare"
-        raise UnusableError(f"{nothing}; {lacks}" if lacks else nothing)
+        raise UsageError(f"{nothing}; {lacks}" if lacks else nothing)
     spoke = [outcome for outcome in outcomes if outcome.outputs]
     if not any(outcome.compared for outcome in spoke):
         of_each = "; ".join(f"of {outcome.stage}, {lacking(outcome, recorded)}" for outcome in spoke)
-        raise UnusableError(f"no output of these agents can be repeated: {of_each}")
-
-
-def _check(options: Recompute) -> None:
-    if options.tolerances not in (AUTO, NONE, TABLE):
-        raise UnusableError(f"--tolerances {options.tolerances} is unknown; choose from {AUTO}, {NONE}, {TABLE}")
-    _check_output(options)
+        raise UsageError(f"no output of these agents can be repeated: {of_each}")
 
 
 def _check_output(options: Recompute) -> None:
@@ -286,13 +271,9 @@ def _check_output(options: Recompute) -> None:
     if output is None:
         return
     if output.suffix not in (".rrd", ".mcap"):
-        raise UnusableError(f"--output {output} must end in .rrd, to be looked at in Rerun, or in .mcap")
-    if not output.parent.is_dir():
-        raise UnusableError(f"the folder {output.parent} of --output {output} does not exist; create it first")
-    if output.exists() and options.recording.exists() and output.samefile(options.recording):
-        raise UnusableError(f"--output {output} would overwrite the recording; give another name")
-    if output.exists():
-        raise UnusableError(f"--output {output} exists already; give another name")
+        raise UsageError(f"--output {output} must end in .rrd, to be looked at in Rerun, or in .mcap")
+    check_outputs({"--output": output}, [("the recording", options.recording)])
+    check_new(output)
 
 
 def _write(path: Path, recording: Path, result: ThroughResult) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from agents.configuration.rig import RigConfig
 from agents.replay.compare import OTHER
-from agents.replay.differences import FIGURES, At, Comparison, Row
+from agents.replay.differences import FIGURES, Comparison, Row
 from agents.replay.through import Outcome
 from agents.viewer.entity import Moment
 from agents.viewer.side_by_side import RECORDED, REPLAYED, SideBySide
@@ -158,17 +158,14 @@ def report(result: ThroughResult) -> Iterator[str]:
     if result.otherwise:
         how = "nothing may differ all the same" if result.exactly else "compared within tolerances"
         yield f"otherwise than recorded: {result.otherwise}; {how}"
-    yield from table(comparison, _began_ns(result.before))
+    # when the recording begins, as `inspect` has it; what it repeats from before is older
+    began_ns = next((entry.at_ns for entry in result.before if not entry.repeated), 0)
+    yield from table(comparison, began_ns)
     if comparison.is_same:
         yield "all that was compared is the same" + ("" if result.exactly else ", within tolerance")
     steps = sum(len(outcome.steps_ms) for outcome in result.outcomes)
     ratio = f", {result.wall_s / result.step_s:.2f} times as long" if result.step_s else ""
     yield f"{steps} steps took {result.step_s:.2f} s; the whole replay {result.wall_s:.2f} s{ratio}"
-
-
-def _began_ns(entries: list[Entry]) -> int:
-    """When the recording begins, as `inspect` has it; what it repeats from before is older."""
-    return next((entry.at_ns for entry in entries if not entry.repeated), 0)
 
 
 def _sentence(outcome: Outcome, recorded: Set[Place]) -> str:
@@ -222,10 +219,13 @@ def write_side_by_side(path: Path, before: list[Entry], after: list[Entry], comp
                 continue
             file.show(side, topic, entry.key, message, entry.published_ns)
     for output in comparison.outputs:
-        fields = dict.fromkeys(_paths(comparison, output.topic), 0.0)
+        # of a field that differs anywhere the curve is 0 where it does not
+        rows = [row for row in comparison.rows if row.topic == output.topic]
+        fields = {f"{row.topic}/{row.field}": 0.0 for row in rows}
         fields |= {f"{output.topic}/{difference.field}": difference.amount for difference in output.fields}
         for field, amount in fields.items():
-            file.differ(_moment(output.at), field, amount)
+            at = output.at
+            file.differ(Moment(at.published_ns if at.capture_ns is None else at.capture_ns, at.frame), field, amount)
     file.close()
 
 
@@ -234,11 +234,6 @@ def curves_of(comparison: Comparison) -> tuple[str, ...]:
     rows = [row for row in comparison.rows if "." not in row.field]
     rows.sort(key=lambda row: (-row.beyond, not row.rule.unit))
     return tuple(f"{row.topic}/{row.field}" for row in rows[:MOST_CURVES])
-
-
-def _paths(comparison: Comparison, topic: str) -> list[str]:
-    """Every field of a topic that differs anywhere, so that its curve is 0 where it does not."""
-    return [f"{row.topic}/{row.field}" for row in comparison.rows if row.topic == topic]
 
 
 def _frames_of(entries: Iterable[Entry]) -> set[int]:
@@ -258,7 +253,3 @@ def _decoded(topic: Topic, entry: Entry) -> Any:
         return decode(topic.message, entry.payload)
     except MessageError:
         return None
-
-
-def _moment(at: At) -> Moment:
-    return Moment(at.published_ns if at.capture_ns is None else at.capture_ns, at.frame)

@@ -10,12 +10,13 @@ import threading
 from pathlib import Path
 
 from agents.cli.live.options import Record
+from agents.cli.places import check_new
 from agents.cli.recordings.facts import STUDY_FACTS, attached_to, clocks_note, notes_of
 from agents.cli.recordings.one_after_another import Recordings
 from agents.configuration.hosts import kind_and_instance
 from agents.configuration.rig import RecorderSection, RigConfig
 from agents.launch.host_facts import telling, told_without
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, stopping
 from agents.launch.session_folder import free_path
 from agents.launch.supervisor import SUPERVISED
 from agents.recorder.intake import DiskGuard
@@ -69,22 +70,17 @@ def record(rig: RigConfig, options: Record) -> int:
     path = free_path(options.output) if options.numbered else options.output
     section = section_of(rig, options)
     settings = settings_of(section)
-    if path.exists():
-        return complain(f"{path} exists already; give another name", EXIT_UNUSABLE)
-    stopped = threading.Event()
+    check_new(path)
     asks_at_terminal = settings.pre_trigger is not None and SUPERVISED not in os.environ and sys.stdin.isatty()
-    on_stop(stopped.set, for_sure=True)
+    stopped = stopping(for_sure=True)
     if problem := _no_room(DiskGuard(path.parent, settings.keep_free_bytes), stopped if options.numbered else None):
         return complain(problem, EXIT_UNUSABLE)
 
     def begun(path: Path) -> Recorder:
         return Recorder(path, settings=settings, notes=notes_of(rig, section), attached=attached_to(rig), tell=_tell)
 
-    own = f"{key_root(rig.rig, _instance(rig), KIND)}/"
-    try:
-        recordings = Recordings(path, begun, DiskGuard(path.parent, settings.keep_free_bytes), LOGGER, own)
-    except OSError as error:
-        return complain(f"{path} cannot be written: {error.strerror or error}", EXIT_UNUSABLE)
+    own = f"{key_root(rig.rig, kind_and_instance(KIND, rig.host or MAIN)[1], KIND)}/"
+    recordings = Recordings(path, begun, DiskGuard(path.parent, settings.keep_free_bytes), LOGGER, own)
     signal.signal(signal.SIGUSR1, lambda *_: recordings.trigger(ASKED))
     if asks_at_terminal:
         say("Enter keeps the last seconds")
@@ -123,7 +119,7 @@ def _record_all(
     rig: RigConfig, connection: Connection, recordings: Recordings, folder: Path, stopped: threading.Event
 ) -> None:
     """Until stopped; what is told of it is told on the rig too."""
-    recording = (connection, recorded_topics(rig), stopped, _say_end)
+    recording = (connection, recorded_topics(rig), stopped, lambda report: say(recording_sentence(report)))
     with telling(connection, rig, KIND, LOGGER, lambda: recordings.fault, writes_to=folder):
         thread = threading.Thread(target=recordings.run, args=recording, name="recordings")
         thread.start()
@@ -131,18 +127,10 @@ def _record_all(
         thread.join()
 
 
-def _instance(rig: RigConfig) -> str:
-    return kind_and_instance(KIND, rig.host or MAIN)[1]
-
-
 def _tell(sentence: str) -> None:
     """Say it here and on the rig."""
     say(sentence)
     LOGGER.warning(sentence)
-
-
-def _say_end(report: RecordingReport) -> None:
-    say(recording_sentence(report))
 
 
 def recorded_topics(rig: RigConfig) -> tuple[Topic, ...]:

@@ -8,13 +8,11 @@ from collections.abc import Generator
 from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_keys import steered
 from agents.configuration.rig import RigConfig, simulated_rig
-from agents.launch.process import EXIT_DAMAGED, on_stop
+from agents.launch.process import EXIT_DAMAGED, EXIT_OK, on_stop
 from agents.replay.compare import items
 from agents.replay.contents import (
     Contents,
     Selection,
-    SelectionError,
-    WindowError,
     contents_of,
     name_of,
     readable,
@@ -26,14 +24,12 @@ from agents.replay.player import Controls, Played, Player
 from schemas.messages import Outcome
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness
-from shared.recording.mcap_file import RecordingError
-from shared.runtime.config import ConfigError, load_config
-from shared.runtime.connection import NoRouterError
+from shared.runtime.config import load_config
 from shared.runtime.republishing import REPLAY, Republisher, republishing
 from shared.runtime.session import SessionSettings
-from shared.terminal import complain, say, warn
+from shared.terminal import UsageError, complain, say, warn
 
-EXIT_OK, EXIT_INCOMPLETE, EXIT_UNUSABLE = 0, 1, 2
+EXIT_INCOMPLETE = 1
 FASTEST = 100.0
 LISTEN_S = 0.5
 """How long to listen whether anybody else publishes on a key, without being an agent."""
@@ -43,29 +39,12 @@ SWITCH_S = 0.0005
 """How long the thread that reads ahead may keep the one that sends waiting."""
 
 
-class ReplayUsageError(ValueError):
-    """What keeps a recording from being replayed as asked; the text names the remedy."""
-
-
 def run(options: Replay) -> int:
     """Replay until the end, or until stopped; the exit status."""
-    try:
-        return _replay(options)
-    except OSError as error:
-        return complain(f"{options.recording} cannot be read: {error.strerror or error}", EXIT_UNUSABLE)
-    except (
-        ReplayUsageError,
-        RecordingError,
-        SelectionError,
-        WindowError,
-        ConfigError,
-        NoRouterError,
-    ) as error:
-        return complain(str(error), EXIT_UNUSABLE)
-
-
-def _replay(options: Replay) -> int:
-    _check(options)
+    if not 0 < options.rate <= FASTEST:
+        raise UsageError(f"--rate {options.rate:g} must lie above 0, and be {FASTEST:g} at most; see --fast")
+    if options.fast and options.rate != 1:
+        raise UsageError("--fast goes as fast as consumers take it: leave --rate out")
     contents = contents_of(options.recording)
     for doubt in completeness(options.recording).doubts_of(contents.damage):
         warn(doubt)
@@ -120,13 +99,6 @@ def _time_kept() -> Generator[None]:
             os.sched_setscheduler(0, policy, os.sched_param(0))
 
 
-def _check(options: Replay) -> None:
-    if not 0 < options.rate <= FASTEST:
-        raise ReplayUsageError(f"--rate {options.rate:g} must lie above 0, and be {FASTEST:g} at most; see --fast")
-    if options.fast and options.rate != 1:
-        raise ReplayUsageError("--fast goes as fast as consumers take it: leave --rate out")
-
-
 def _settings(options: Replay, contents: Contents) -> SessionSettings:
     """Where to: the rig that is named, or else configured, or else recorded."""
     rig = simulated_rig() if options.config is None else load_config(options.config, RigConfig)
@@ -138,11 +110,11 @@ def _settings(options: Replay, contents: Contents) -> SessionSettings:
 def _selection(options: Replay, contents: Contents, republisher: Republisher, rig: str) -> Selection:
     present = republisher.present()
     if any(name.startswith(f"{REPLAY}/") for name in present):
-        raise ReplayUsageError(f"a recording is replayed on rig {rig} already: stop that one, or give another --rig")
+        raise UsageError(f"a recording is replayed on rig {rig} already: stop that one, or give another --rig")
     selection = select(contents, options.topics or None, present)
     if not selection.keys and not selection.commands:
         why = "; ".join(sorted({f"{name_of(key)}: {reason}" for key, reason in selection.left_out.items()}))
-        raise ReplayUsageError(f"nothing is left to be replayed ({why}); name --topics, or another --rig")
+        raise UsageError(f"nothing is left to be replayed ({why}); name --topics, or another --rig")
     return selection
 
 
@@ -152,10 +124,10 @@ def _agree(options: Replay, selection: Selection) -> None:
         return
     named = ", ".join(selection.acted_on)
     if not (sys.stdin is not None and sys.stdin.isatty()):
-        raise ReplayUsageError(f"agents would act on {named}: add --yes-execute if that is meant")
+        raise UsageError(f"agents would act on {named}: add --yes-execute if that is meant")
     print(f"agents would act on {named}, and an arm might move. Send it all the same? Type yes: ", end="", flush=True)
     if sys.stdin.readline().strip().lower() != "yes":
-        raise ReplayUsageError(f"{named} must not be sent unless that is meant; leave it out of --topics")
+        raise UsageError(f"{named} must not be sent unless that is meant; leave it out of --topics")
 
 
 def _refuse_other_publishers(republisher: Republisher, keys: tuple[str, ...], controls: Controls) -> None:
@@ -163,7 +135,7 @@ def _refuse_other_publishers(republisher: Republisher, keys: tuple[str, ...], co
         controls.wait(LISTEN_S)
     if heard:
         named = ", ".join(sorted(map(name_of, heard)))
-        raise ReplayUsageError(f"somebody publishes {named} on this rig already: stop it, or give another --rig")
+        raise UsageError(f"somebody publishes {named} on this rig already: stop it, or give another --rig")
 
 
 def _announced(options: Replay, selection: Selection, settings: SessionSettings, window: tuple[int, int]) -> list[str]:

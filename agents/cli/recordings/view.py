@@ -4,17 +4,17 @@ import contextlib
 import logging
 import sys
 import threading
-from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
 from agents.cli.live.options import View
+from agents.cli.places import check_new
 from agents.configuration.rig import RigConfig
 from agents.launch.host_facts import telling, told_without
-from agents.launch.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
+from agents.launch.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, step_back, stopping
 from agents.launch.session_folder import free_path
-from agents.replay.contents import WindowError, moment_ns
-from agents.viewer.live import LiveViewer, ViewerError, ViewerReport
+from agents.replay.contents import moment_ns
+from agents.viewer.live import LiveViewer, ViewerReport
 from agents.viewer.recorded import RecordedViewer, between
 from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD
 from schemas.topics import TOPICS
@@ -24,7 +24,7 @@ from shared.recording.derivation import derivations
 from shared.recording.mcap_file import Note, RecordingError, UntilDamage, is_finished, read_recording
 from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.process import serving
-from shared.terminal import complain, say, show
+from shared.terminal import UsageError, complain, say, show
 
 LOGGER = logging.getLogger("suturegrasp.viewer")
 PROGRESS_S = 5.0
@@ -36,17 +36,16 @@ NO_FILE = "--show file needs a file: give --output NAME.rrd"
 def view(rig: RigConfig, options: View) -> int:
     """Show a recording, where one is named, or else the rig; the exit status."""
     output = free_path(options.output) if options.numbered and options.output else options.output
-    stopped = threading.Event()
-    on_stop(stopped.set)
-    if output is not None and output.exists():
-        return complain(f"{output} exists already; give another name", EXIT_UNUSABLE)
+    stopped = stopping()
+    if output is not None:
+        check_new(output)
     if options.recording is not None:
         return _view_recording(options, options.recording, output, stopped)
     for name, given in (("--from", options.from_), ("--to", options.to)):
         if given is not None:
-            return complain(f"{name} cuts a recording, and none is named", EXIT_UNUSABLE)
+            raise UsageError(f"{name} cuts a recording, and none is named")
     if options.show == "file" and output is None:
-        return complain(NO_FILE, EXIT_UNUSABLE)
+        raise UsageError(NO_FILE)
     return _view_rig(rig, output, options, stopped)
 
 
@@ -55,10 +54,7 @@ def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threa
     step_back(ONLOOKER)
     # sessions that are opened together stay apart by the folder that each is in
     session_id = f"{rig.rig} {output.resolve().parent.name}" if output is not None else rig.rig
-    try:
-        viewer = LiveViewer(output, options.show or "native", session_id, options.layout)
-    except ViewerError as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    viewer = LiveViewer(output, options.show or "native", session_id, options.layout)
     for note in viewer.notes:
         say(note)
     session = rig.session_of("viewer")
@@ -79,23 +75,17 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
     """Show a recording as fast as it goes, then say what was shown and what could not be read."""
     began_s = monotonic_s()
     if _show(options, output) == "file" and output is None:
-        return complain(NO_FILE, EXIT_UNUSABLE)
-    try:
-        size = recording.stat().st_size
-        # what is no recording is told before a window opens
-        from_s, to_s = _seconds(options, recording)
-        told = _told_before(recording)
-        layout, session_id = options.layout, str(recording.resolve())
-        viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin, told)
-    except (OSError, RecordingError, ViewerError, WindowError) as error:
-        return complain(_told(error, recording), EXIT_UNUSABLE)
+        raise UsageError(NO_FILE)
+    size = recording.stat().st_size
+    # what is no recording is told before a window opens
+    from_s, to_s = _seconds(options, recording)
+    told = _told_before(recording)
+    layout, session_id = options.layout, str(recording.resolve())
+    viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin, told)
     for note in (*viewer.notes, *told):
         say(note)
     viewer.show(between(read_recording(recording), from_s, to_s))
-    progress = _Progress(viewer, size, began_s)
-    while not (viewer.finished.wait(LOOK_S) or stopped.is_set() or viewer.window_closed):
-        progress.tell()
-    progress.end()
+    _follow(viewer, size, began_s, stopped)
     cut_short = "" if viewer.finished.is_set() else "the window was closed" if viewer.window_closed else "stopped"
     if viewer.served and not cut_short:
         say("all of it is on the page, which is served until Ctrl-C")
@@ -174,43 +164,28 @@ def _told(error: Exception, recording: Path) -> str:
     return str(error)
 
 
-@dataclass
-class _Progress:
-    """Tells how far a recording was read.
+def _follow(viewer: RecordedViewer, size: int, began_s: float, stopped: threading.Event) -> None:
+    """Tell how far a recording of so many bytes was read, until all is shown, or nobody looks any more.
 
-    Fields:
-        size: of the recording, in bytes; images hardly shrink in it, so payloads tell how much of it was read.
+    Images hardly shrink in a file, so payloads tell how much of it was read.
     """
+    on_terminal, told_s, pictured, over = sys.stdout.isatty(), 0.0, False, False
+    while not over:
+        over = viewer.finished.wait(LOOK_S) or stopped.is_set() or viewer.window_closed
+        took_s = monotonic_s() - began_s
+        if viewer.first_picture.is_set() and not pictured:
+            pictured = True
+            _line(f"the first picture came after {took_s:.1f} s", "\n")
+        if not over and (on_terminal or took_s - told_s > PROGRESS_S):
+            told_s, share = took_s, min(0.99, viewer.showed / max(size, 1))
+            _line(f"about {share:.0%} read, {1e-6 * viewer.showed:.0f} MB in {took_s:.0f} s", "")
+    if on_terminal:
+        show("")
 
-    viewer: RecordedViewer
-    size: int
-    began_s: float
-    told_s: float = 0.0
-    first_told: bool = False
 
-    def tell(self) -> None:
-        """A line, if it is time for one."""
-        if self.viewer.first_picture.is_set() and not self.first_told:
-            self.first_told = True
-            self._line(f"the first picture came after {monotonic_s() - self.began_s:.1f} s", last=True)
-        now_s = monotonic_s()
-        if sys.stdout.isatty() or now_s - self.told_s > PROGRESS_S:
-            self.told_s = now_s
-            self._line(self._sentence(), last=False)
-
-    def end(self) -> None:
-        """Leave the line that was kept up to date."""
-        if self.viewer.first_picture.is_set() and not self.first_told:
-            self.tell()
-        if sys.stdout.isatty():
-            show("")
-
-    def _sentence(self) -> str:
-        share = min(0.99, self.viewer.showed / max(self.size, 1))
-        return f"about {share:.0%} read, {1e-6 * self.viewer.showed:.0f} MB in {monotonic_s() - self.began_s:.0f} s"
-
-    def _line(self, text: str, last: bool) -> None:
-        if sys.stdout.isatty():
-            print(f"\r\x1b[K{text}", end="\n" if last else "", flush=True)
-        else:
-            say(text)
+def _line(text: str, end: str) -> None:
+    """Say it; on a terminal in place of the line before."""
+    if sys.stdout.isatty():
+        print(f"\r\x1b[K{text}", end=end, flush=True)
+    else:
+        say(text)

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,10 +9,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
+from agents.cli.places import check_new
 from agents.cli.recordings.options import TrackTool
 from agents.cli.track_tool.input import Seen, seen_in, seen_live
 from agents.configuration.this_host import rig_of
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, stopping
 from agents.tool_tracker.correction import Correction
 from agents.tool_tracker.outline import outline
 from agents.tool_tracker.refinement import View
@@ -21,11 +21,9 @@ from agents.tool_tracker.search import soft_pair
 from agents.tool_tracker.track import Following, Track, begun, followed
 from shared.calibration.made import MADE, made_text
 from shared.kinematics.psm import FINGER_M
-from shared.recording.entry import RecordingError
 from shared.rigid_transforms import apply, log_so3
-from shared.runtime.config import ConfigError
-from shared.runtime.connection import NoRouterError, connected
-from shared.terminal import complain, say, warn
+from shared.runtime.connection import connected
+from shared.terminal import UsageError, complain, say, warn
 
 EXIT_DRIFTED, EXIT_NOT_FOUND = 1, 3
 FOLLOWING_S, SEARCHING_S = 0.2, 0.4
@@ -36,18 +34,15 @@ BEFORE, AFTER = (0, 220, 255), (0, 255, 0)
 def run(options: TrackTool) -> int:
     """Follow the tool, and tell; the exit status."""
     for path in (options.output, options.tips):
-        if path is not None and path.exists():
-            return complain(f"{path} exists already; give another name", EXIT_UNUSABLE)
+        if path is not None:
+            check_new(path)
     if options.live == (options.recording is not None):
-        return complain("give a recording, or --live", EXIT_UNUSABLE)
+        raise UsageError("give a recording, or --live")
     told = _Told(options)
-    try:
-        for seen in _seen(options):
-            told.look(seen)
-            if told.views == options.views:
-                break
-    except (RecordingError, ConfigError, NoRouterError, OSError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    for seen in _seen(options):
+        told.look(seen)
+        if told.views == options.views:
+            break
     if options.tips is not None:
         _write_tips(options.tips, told.tips)
     return told.conclusion()
@@ -58,8 +53,7 @@ def _seen(options: TrackTool) -> Iterator[Seen]:
     if options.recording is not None:
         yield from seen_in(options.recording, options.arm, options.delay_ms)
         return
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     with connected(rig_of(options.config, options.host).session) as connection:
         yield from seen_live(connection, options.arm, options.delay_ms, stopped)
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
+from agents.cli.recordings.arm_states import arm_states
 from agents.tool_tracker.tubes import BRACKET_NS, Placed, in_metres, placed_at
 from schemas.checks import MessageError
 from schemas.codec import decode
@@ -52,9 +53,7 @@ def seen_in(path: Path, arm: str, delay_ms: float) -> Iterator[Seen]:
     Raises:
         RecordingError: where it is no recording, or lacks what is needed; the text says what.
     """
-    states = [decode(RobotState, entry.payload) for entry in read_recording(path) if _is_state(entry.key, arm)]
-    if not states:
-        raise RecordingError(f"{path}: it holds no state of an arm {arm!r}")
+    states = arm_states(path, arm)
     ready: _Calibrated | None = None
     for entry in read_recording(path):
         topic = topic_of(entry.key)
@@ -128,10 +127,6 @@ def _seen(payload: bytes, states: list[RobotState], calibrated: _Calibrated, del
     ready = calibrated.ready
     images = rectify_image(left, ready.map_left), rectify_image(right, ready.map_right)
     return Seen(at_ns * 1e-9, *images, placed, in_metres(ready.camera), calibrated.id)
-
-
-def _is_state(name: str, arm: str) -> bool:
-    return topic_of(name) is ROBOT_STATE and name.split("/")[3] == arm
 
 
 def _rectification(name: str, calibration: StereoCalibration) -> _Calibrated:

@@ -152,15 +152,11 @@ def _unread(topic: str, one: Came) -> bool:
     return isinstance(one.value, str) and SAID[topic][0] != STRING
 
 
-@dataclass(frozen=True)
-class Duty:
-    """One row: what a console must do, and whether it did by what was heard: found, and the remedy or nothing."""
-
-    what: str
-    judge: Callable[[Told], tuple[str, str]]
+Judge = Callable[[Told], tuple[str, str]]
+"""What was found of a duty by what was heard, and the remedy, empty where the console does it."""
 
 
-def _comes(kind: str, within_s: float) -> Callable[[Told], tuple[str, str]]:
+def _comes(kind: str, within_s: float) -> Judge:
     def judge(told: Told) -> tuple[str, str]:
         arrived = [one.arrived_ns for one in told.came[kind]]
         if why := told.unread(kind):
@@ -400,24 +396,24 @@ def _errors(told: Told) -> tuple[str, str]:
     return (f"none now; it had said: {before[-1]}" if before else "none"), ""
 
 
-CONFORMANCE = (
-    Duty("joints come", _comes("measured_js", MEASUREMENT_AGE_S)),
-    Duty("the jaw comes", _comes("jaw/measured_js", MEASUREMENT_AGE_S)),
-    Duty("the base's pose comes", _comes(BASE_POSE, 1e-9 * POSE_AGE_NS)),
-    Duty("units", _units),
-    Duty("one clock", _one_clock),
-    Duty("nothing is held back", _on_time),
-    Duty("frame of the pose", _frame),
-    Duty("frame of the other pose", _camera_frame),
-    Duty("operating state", _state),
-    Duty("busy", _busy),
-    Duty("set points", _set_points),
-    Duty("tool", _tool),
-    Duty("teleoperation", _teleoperation),
-    Duty("endoscope", _endoscope),
-    Duty("other owners", _owners),
-    Duty("errors", _errors),
-)
+CONFORMANCE: dict[str, Judge] = {
+    "joints come": _comes("measured_js", MEASUREMENT_AGE_S),
+    "the jaw comes": _comes("jaw/measured_js", MEASUREMENT_AGE_S),
+    "the base's pose comes": _comes(BASE_POSE, 1e-9 * POSE_AGE_NS),
+    "units": _units,
+    "one clock": _one_clock,
+    "nothing is held back": _on_time,
+    "frame of the pose": _frame,
+    "frame of the other pose": _camera_frame,
+    "operating state": _state,
+    "busy": _busy,
+    "set points": _set_points,
+    "tool": _tool,
+    "teleoperation": _teleoperation,
+    "endoscope": _endoscope,
+    "other owners": _owners,
+    "errors": _errors,
+}
 
 
 def judged(told: Told) -> Iterator[Finding]:
@@ -432,8 +428,8 @@ def judged(told: Told) -> Iterator[Finding]:
     broken = f"the link to it broke {told.broken} times meanwhile" if told.broken else ""
     how = "moves" if told.moved else "stands, so what only a motion shows is not judged"
     yield Finding(arm, broken or how, "see to the network, or to Zenoh beside the console" if broken else "")
-    for duty in CONFORMANCE:
-        yield Finding(f"{arm}: {duty.what}", *duty.judge(told))
+    for duty, judge in CONFORMANCE.items():
+        yield Finding(f"{arm}: {duty}", *judge(told))
 
 
 def listening(told: Told) -> tuple[Heard, ...]:

@@ -9,7 +9,7 @@ from agents.diagnostics.status.agents import AWAY
 from agents.diagnostics.status.calibrations import DAY_NS, Allowed, allowed_ages, too_old
 from agents.diagnostics.status.files import HERE, judge_files
 from agents.diagnostics.status.gathered import Gathered, placed_agents
-from agents.diagnostics.status.health_watch import REPLAYED, Fare, name_of, span_of
+from agents.diagnostics.status.health_watch import REPLAYED, Fare, agent_name, span_of
 from agents.diagnostics.status.judgement import (
     CLOCKS_APART_MS,
     LEAST_FREE_BYTES,
@@ -102,7 +102,7 @@ def versions(facts: Mapping[str, AgentFacts], version: str, schemas_hash: str, z
         others: dict[str, list[str]] = {}
         for name, one in facts.items():
             if of(one) != here:
-                others.setdefault(of(one), []).append(_called(name))
+                others.setdefault(of(one), []).append(agent_name(name))
         each = "; ".join(f"{other} on {listed(names)}" for other, names in sorted(others.items()))
         yield Finding(what, f"{here} here, {each}" if each else f"{here} everywhere", INSTALL if each else "")
 
@@ -144,7 +144,7 @@ def files(gathered: Gathered) -> Iterator[Finding]:
     for wrong in wrongs:
         began, _, remedy = wrong.text.partition("; ")
         yield Finding(f"{what} on {wrong.about}" if wrong.about != HERE else f"{what} here", began, remedy)
-    silent = [_called(name) for name, facts in gathered.facts.items() if not facts.rig_sections]
+    silent = [agent_name(name) for name, facts in gathered.facts.items() if not facts.rig_sections]
     if silent:
         yield Finding(what, f"{UNKNOWN} of {listed(silent)}, whose version does not tell")
     elif gathered.facts and not wrongs:
@@ -154,7 +154,7 @@ def files(gathered: Gathered) -> Iterator[Finding]:
 def links(measured: Mapping[str, Link | None]) -> Iterator[Finding]:
     """How far away each agent is, by what was measured."""
     for name, link in measured.items():
-        what = f"link to {_called(name)}"
+        what = f"link to {agent_name(name)}"
         if link is None:
             yield Finding(what, f"{UNKNOWN}, for it gives no answer, or not in time")
             continue
@@ -194,7 +194,7 @@ def granted(facts: Mapping[str, AgentFacts], rig: RigConfig, at_ns: int) -> Iter
     realtime = {name for host in rig.hosts.values() if host.realtime for name in host.runs}
     placed, allowed = placed_agents(rig), allowed_ages(rig)
     for name, one in facts.items():
-        called = _called(name)
+        called = agent_name(name)
         if one.realtime_asked is not None or one.realtime_granted is not None:
             had = one.realtime_granted is not None
             found = f"priority {one.realtime_granted}" if had else f"asked for {one.realtime_asked}, and not granted"
@@ -228,7 +228,7 @@ def _calibration(called: str, allowed: Allowed, made_ns: int | None, at_ns: int)
 def _shared_memory(facts: Mapping[str, AgentFacts]) -> Iterator[Finding]:
     reasons: dict[tuple[bool, str], list[str]] = {}
     for name, one in facts.items():
-        reasons.setdefault((one.shared_memory, one.shared_memory_reason), []).append(_called(name))
+        reasons.setdefault((one.shared_memory, one.shared_memory_reason), []).append(agent_name(name))
     for (used, reason), names in sorted(reasons.items(), reverse=True):
         yield Finding("shared memory", f"{'used' if used else 'not used'} by {listed(names)}: {reason}")
 
@@ -237,7 +237,3 @@ def _megabytes(rate: float) -> str:
     if rate > MOST_TOLD:
         return f"over {1e-6 * MOST_TOLD:.0f} MB/s"
     return f"{1e-6 * rate:.{0 if rate > 1e7 else 2}f} MB/s"
-
-
-def _called(name: str) -> str:
-    return name_of(*name.split("/"))

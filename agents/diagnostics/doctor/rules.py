@@ -10,7 +10,7 @@ from agents.diagnostics.doctor.finding import UNKNOWN, Finding
 from shared.runtime.access import Trial, try_command, try_rules
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import NoRouterError, open_when_there
-from shared.runtime.session import Session, on_loopback
+from shared.runtime.session import on_loopback
 
 OPENS_WITHIN_S = 3.0
 REMEDY = "run the router with the configuration that suturegrasp deploy plan makes, and look who may have got in"
@@ -38,7 +38,9 @@ def _tried(rig: RigConfig, name: str, listener: str, present: list[str]) -> Find
     agents = [root for root in present if root != own and root.split("/")[0] not in (*BESIDE, "guard")]
     with contextlib.ExitStack() as stack:
         try:
-            trier, hearer = (stack.enter_context(_opened(rig, which)) for which in (name, listener))
+            trier, hearer = (
+                stack.enter_context(open_when_there(session_as(rig, n), OPENS_WITHIN_S)) for n in (name, listener)
+            )
         except (NoRouterError, ConfigError) as error:
             return Finding(what, f"{UNKNOWN}, for the router was not reached: {error}")
         trial = try_rules(trier, hearer, rig.rig, own, others)
@@ -71,7 +73,3 @@ def _roots(rig: RigConfig) -> list[str]:
         return ["/".join(kind_and_instance(name)) for name in rig.processes()]
     names = {kind_and_instance(name, host) for host, section in rig.hosts.items() for name in section.runs}
     return sorted("/".join(name) for name in names)
-
-
-def _opened(rig: RigConfig, name: str) -> Session:
-    return open_when_there(session_as(rig, name), OPENS_WITHIN_S)

@@ -20,8 +20,6 @@ FILLED_SHARE = 0.8
 LASTS_S = 10.0
 """What was refused longer ago, with nothing since, is over, and a process that began anew longer ago runs."""
 RESTARTED = "restarted"
-SAID_HZ = 0.5
-"""An input that comes more seldom is no cause to name."""
 SETTLED_S = 5.0
 """Rates are over two seconds, and sources and models take as long to begin."""
 HOST_NEEDS = 2
@@ -110,9 +108,9 @@ def _own_account(fare: Fare, health: AgentHealth) -> Iterator[Wrong]:
         if heard.refused:
             refused = f"{name} refused {_messages(heard.refused)} of {heard.topic} {since}"
             why = "another version sends them, an intruder, or a link that broke mixed keys up: its log says which"
-            recently = "the last just now" if fare.refusing else "and since when is not known yet"
-            last = f"none for {span_of(fare.refused_s)}" if fare.refused_s > LASTS_S else recently
-            yield Wrong("refused", name, f"{refused}, {last}: {why}", grave=fare.refused_s <= LASTS_S)
+            over = fare.refused_s > LASTS_S
+            last = f", none for {span_of(fare.refused_s)}" if over else ""
+            yield Wrong("refused", name, f"{refused}{last}: {why}", grave=not over)
         if topic is None:
             continue
         if heard.missed and topic.rate_hz is None:
@@ -186,7 +184,7 @@ def late_links(fares: Iterable[Fare], rates_hz: Mapping[str, float]) -> dict[Pai
 def _because(
     fare: Fare, health: AgentHealth, slow: Set[str], output: OutputHealth, rates_hz: Mapping[str, float]
 ) -> str:
-    """What keeps an agent from its rate: what it waits for, or steps that fill its time; else what is known of it."""
+    """What keeps an agent from its rate: what it waits for, or steps that fill its time; empty where neither does."""
     # what only follows from it, and comes back to it, it does not wait for
     before = {str(topic) for topic in TOPICS[: [str(topic) for topic in TOPICS].index(output.topic)]}
     mine = [heard for heard in health.inputs if heard.topic in before]
@@ -200,19 +198,9 @@ def _because(
     ]
     if late:
         return f", for it waits for {listed(late)}"
-    if health.step_ms_p50 is None or health.step_ms_p99 is None:
-        return ""
-    if health.step_ms_p50 * output.rate_hz > FILLED_SHARE * 1e3:
+    if health.step_ms_p50 is not None and health.step_ms_p50 * output.rate_hz > FILLED_SHARE * 1e3:
         return f", for a step takes {health.step_ms_p50:.0f} ms"
-    if health.processor_share is None:
-        return ""
-    each = [f"{heard.rate_hz:.0f} of {heard.topic}" for heard in health.inputs if heard.rate_hz >= SAID_HZ]
-    taken = f"it takes {listed(each)} a second, " if each else ""
-    share = f", and it gets {health.processor_share:.0%} of a processor"
-    steps = (
-        f"half of its steps take over {health.step_ms_p50:.0f} ms, one in a hundred over {health.step_ms_p99:.0f} ms"
-    )
-    return f"; {taken}{steps}{share}"
+    return ""
 
 
 def _versions(fares: tuple[Fare, ...]) -> Iterator[Wrong]:

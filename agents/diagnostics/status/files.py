@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from agents.configuration.digest import differing
 from agents.diagnostics.status.gathered import Gathered
-from agents.diagnostics.status.health_watch import name_of
+from agents.diagnostics.status.health_watch import agent_name
 from agents.diagnostics.status.wrong import Wrong, listed
 
 HERE = "here"
@@ -20,7 +20,7 @@ def judge_files(gathered: Gathered) -> Iterator[Wrong]:
     digests = set[frozenset[str]]()
     hosts = set[str]()
     for name, facts in told.items():
-        called = name_of(*name.split("/"))
+        called = agent_name(name)
         host = placed.get(called) or facts.host
         hosts.add(host)
         digests.add(frozenset(f"{section.name} {section.digest}" for section in facts.rig_sections))
@@ -32,13 +32,10 @@ def judge_files(gathered: Gathered) -> Iterator[Wrong]:
         yield Wrong("file", HERE, f"{text}; take theirs, or restart them if they began before it was changed")
         return
     for (host, apart), names in others.items():
+        them = "it" if len(names) == 1 else "them"
         text = f"{listed(names)} on {host} began with another file of the rig than the one here, and they differ in"
-        yield Wrong("file", host, f"{text} {_sections(apart)}; take the right one there and restart {_them(names)}")
+        yield Wrong("file", host, f"{text} {_sections(apart)}; take the right one there and restart {them}")
 
 
 def _sections(names: tuple[str, ...]) -> str:
     return listed("the rig's name" if name == "rig" else f"[{name}]" for name in names)
-
-
-def _them(names: list[str]) -> str:
-    return "it" if len(names) == 1 else "them"

@@ -45,7 +45,6 @@ class Gathered:
         at_ns: by the clock of this machine.
         router: whether one answers.
         router_host: which of the rig's hosts runs it; empty on one machine.
-        here: this machine, as its agents would call it.
         fares: of every agent that the rig's configuration has, or that was heard.
         addresses: of the rig's hosts, by name; empty on one machine.
         rates_hz: at which topics are expected, by name.
@@ -67,7 +66,6 @@ class Gathered:
     endpoint: str
     router: bool = True
     router_host: str = ""
-    here: str = ""
     fares: tuple[Fare, ...] = ()
     addresses: Mapping[str, str] = field(default_factory=dict[str, str])
     rates_hz: Mapping[str, float] = field(default_factory=dict[str, float])

@@ -2,7 +2,7 @@
 
 import dataclasses
 import threading
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from rich.table import Table
@@ -25,7 +25,6 @@ WELL, STARTING, NEVER, SILENT = "well", "starting", "never heard of", "silent"
 ABSENT, GONE, HANGING = "absent", "gone", "hanging"
 REPLAYED = "replayed"
 """Of an agent for which a replay stands: what it tells is of the recording."""
-LEFT = ("agent", "host", "state")
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,6 @@ class Fare:
         restarted_s: since it was last heard to have begun anew, or was first heard.
         expected: whether the rig's configuration has it; and on which of its hosts, empty where that is not told.
         refused_s: since it was seen to refuse a message, or was first heard.
-        refusing: whether it was seen to refuse one.
         leaves_out: the inputs of which it left out messages for newer ones since its health before.
         epoch: of the run that told its health; None where that is not known.
         replayed: whether a replay told it.
@@ -54,7 +52,6 @@ class Fare:
     expected: bool = True
     placed: str = ""
     refused_s: float = 0.0
-    refusing: bool = False
     leaves_out: frozenset[str] = frozenset()
     epoch: int | None = None
     replayed: bool = False
@@ -124,7 +121,6 @@ class HealthWatch:
                 silent_s=now_s,
                 restarts=restarts,
                 refused_s=refused_s,
-                refusing=seen or before.refusing,
                 leaves_out=frozenset(i.topic for i in health.inputs if i.dropped > known.get(i.topic, 0)),
                 epoch=epoch,
                 restarted_s=now_s if began or before.health is None else before.restarted_s,
@@ -186,60 +182,52 @@ def key_of(name: str) -> str:
     return f"{kind}/{instance or MAIN}"
 
 
+def agent_name(key: str) -> str:
+    """`kind/instance` as people call it."""
+    return name_of(*key.split("/"))
+
+
 def health_table(fares: Iterable[Fare]) -> Table:
     """A row an agent; hosts have a column where there is more than one."""
     fares = list(fares)
     several = len({fare.host for fare in fares if fare.host}) > 1
-    rows = {fare.name: _row(fare) for fare in fares}
     table = Table(box=None, pad_edge=False)
-    columns = [name for name in _row(Fare("", None, 0.0)) if name != "host" or several]
-    for column in columns:
-        table.add_column(column, justify="left" if column in LEFT else "right", no_wrap=column != "state")
-    for row in rows.values():
-        table.add_row(*(row[column] for column in columns))
+    for column in ("agent", *(["host"] if several else []), "state"):
+        table.add_column(column, no_wrap=column != "state")
+    for column in FIGURES:
+        table.add_column(column, justify="right", no_wrap=True)
+    for fare in fares:
+        silent = "" if fare.silent_s <= SILENT_S else f" for {span_of(fare.silent_s)}"
+        host = [fare.host or "-"] if several else []
+        figures = ["-" if fare.health is None else figure(fare, fare.health) for figure in FIGURES.values()]
+        table.add_row(fare.name, *host, fare.state + silent, *figures)
     return table
 
 
-def _row(fare: Fare) -> dict[str, str]:
-    """What is in the row of an agent, by column."""
-    silent = "" if fare.silent_s <= SILENT_S else f" for {span_of(fare.silent_s)}"
-    row = {"agent": fare.name, "host": fare.host or "-", "state": fare.state + silent}
-    return row | _figures(fare.health, fare.restarts)
+def _step(health: AgentHealth) -> str:
+    return "-" if health.step_ms_p50 is None else f"{health.step_ms_p50:.1f}/{health.step_ms_p99 or 0:.1f}"
 
 
-def _figures(health: AgentHealth | None, restarts: int) -> dict[str, str]:
-    columns = (
-        "up",
-        "restarts",
-        "CPU %",
-        "MB",
-        "ms p50/p99",
-        "in Hz",
-        "age ms",
-        "dropped",
-        "missed",
-        "refused",
-        "out Hz",
-    )
-    if health is None:
-        return dict.fromkeys(columns, "-")
-    steps = "-" if health.step_ms_p50 is None else f"{health.step_ms_p50:.1f}/{health.step_ms_p99 or 0:.1f}"
+def _age(health: AgentHealth) -> str:
     # of what keeps coming: a state that came once grows no older
     ages = [i.age_ms for i in health.inputs if i.age_ms is not None and i.rate_hz > 0]
-    values = (
-        span_of(health.uptime_s),
-        str(restarts),
-        "-" if health.processor_share is None else f"{100 * health.processor_share:.0f}",
-        "-" if health.resident_bytes is None else f"{health.resident_bytes / 1e6:.0f}",
-        steps,
-        " ".join(f"{i.rate_hz:.0f}" for i in health.inputs) or "-",
-        f"{max(ages):.0f}" if ages else "-",
-        str(sum(i.dropped for i in health.inputs)),
-        str(sum(i.missed for i in health.inputs)),
-        str(sum(i.refused for i in health.inputs)),
-        " ".join(f"{o.rate_hz:.0f}" for o in health.outputs) or "-",
-    )
-    return dict(zip(columns, values, strict=True))
+    return f"{max(ages):.0f}" if ages else "-"
+
+
+FIGURES: dict[str, Callable[[Fare, AgentHealth], str]] = {
+    "up": lambda _, health: span_of(health.uptime_s),
+    "restarts": lambda fare, _: str(fare.restarts),
+    "CPU %": lambda _, health: "-" if health.processor_share is None else f"{100 * health.processor_share:.0f}",
+    "MB": lambda _, health: "-" if health.resident_bytes is None else f"{health.resident_bytes / 1e6:.0f}",
+    "ms p50/p99": lambda _, health: _step(health),
+    "in Hz": lambda _, health: " ".join(f"{i.rate_hz:.0f}" for i in health.inputs) or "-",
+    "age ms": lambda _, health: _age(health),
+    "dropped": lambda _, health: str(sum(i.dropped for i in health.inputs)),
+    "missed": lambda _, health: str(sum(i.missed for i in health.inputs)),
+    "refused": lambda _, health: str(_refused(health)),
+    "out Hz": lambda _, health: " ".join(f"{o.rate_hz:.0f}" for o in health.outputs) or "-",
+}
+"""The columns of an agent that has told how it fares."""
 
 
 def span_of(seconds: float) -> str:

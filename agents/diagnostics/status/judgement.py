@@ -1,15 +1,13 @@
 """What is wrong with a rig, in plain words: a pure function of what was heard of it."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-import numpy as np
+from collections.abc import Iterable, Iterator, Mapping
 
 from agents.configuration.topics import Override, in_words
 from agents.diagnostics.status.agents import judge_agents
 from agents.diagnostics.status.calibrations import too_old
 from agents.diagnostics.status.files import judge_files
 from agents.diagnostics.status.gathered import FROZEN, ArmHeard, Gathered
-from agents.diagnostics.status.health_watch import SILENT_S, name_of, span_of
+from agents.diagnostics.status.health_watch import SILENT_S, agent_name, name_of, span_of
 from agents.diagnostics.status.tool import judge_tool
 from agents.diagnostics.status.wrong import Wrong, listed
 from agents.robot_bridge.plans import Code
@@ -145,9 +143,6 @@ def _why(arm: ArmHeard) -> str:
 def _clocks(gathered: Gathered) -> Iterator[Wrong]:
     offsets = list(by_host(o for o in gathered.clocks.values() if o is not None))
     named = {offset.host for offset in offsets if offset.least_ms > CLOCKS_APART_MS}
-    if ours := _own_clock([offset for offset in offsets if offset.host != gathered.here]):
-        yield ours
-        return
     for offset in offsets:
         if offset.host in named:
             yield Wrong("clock", offset.host, f"the clock of host {offset.host} is {apart(offset)}; {SYNCHRONISE}")
@@ -161,22 +156,10 @@ def _clocks(gathered: Gathered) -> Iterator[Wrong]:
             yield Wrong("clock", offset.host, text)
 
 
-def _own_clock(offsets: Sequence[ClockOffset]) -> Wrong | None:
-    """That the clock here is off, where it is off all others', and they agree; None where that is not so."""
-    ahead_ms = [offset.ahead_ms for offset in offsets]
-    if len(offsets) < 2 or any(offset.least_ms <= CLOCKS_APART_MS for offset in offsets):
-        return None
-    if max(ahead_ms) - min(ahead_ms) > CLOCKS_APART_MS + 2 * max(offset.within_ms for offset in offsets):
-        return None
-    off = f"{abs(np.median(ahead_ms)):.0f} ms {'behind' if np.median(ahead_ms) > 0 else 'ahead of'}"
-    text = f"the clock of this machine is {off} those of all other hosts, which agree; {SYNCHRONISE}"
-    return Wrong("clock", "here", text)
-
-
 def _schemas(gathered: Gathered) -> Iterator[Wrong]:
     hashes: dict[str, list[str]] = {}
     for name, facts in gathered.facts.items():
-        hashes.setdefault(facts.schemas_hash, []).append(_called(name))
+        hashes.setdefault(facts.schemas_hash, []).append(agent_name(name))
     if len(hashes) > 1:
         each = "; ".join(f"{told} on {listed(names)}" for told, names in sorted(hashes.items()))
         yield Wrong("schemas", "schemas", f"schemas differ: {each}; install one version everywhere")
@@ -188,12 +171,13 @@ def topics_told_otherwise(here: Iterable[Override], facts: Mapping[str, AgentFac
     for name, told in facts.items():
         if (theirs := {in_words(one) for one in told.overrides}) != own:
             apart = listed([*(f"{one} (here)" for one in sorted(own - theirs)), *sorted(theirs - own)])
-            text = f"{_called(name)} began with another file of the rig than the one here, and they differ in {apart}"
-            yield Wrong("topics", _called(name), f"{text}; take the right one there and restart it")
+            agent = agent_name(name)
+            text = f"{agent} began with another file of the rig than the one here, and they differ in {apart}"
+            yield Wrong("topics", agent, f"{text}; take the right one there and restart it")
 
 
 def _facts(name: str, facts: AgentFacts, at_ns: int) -> Iterator[Wrong]:
-    called = _called(name)
+    called = agent_name(name)
     if facts.disk_free_bytes is not None and facts.disk_free_bytes < LEAST_FREE_BYTES:
         free = f"{facts.disk_free_bytes / (1 << 30):.1f} GiB are free where {called} writes ({facts.writes_to})"
         yield Wrong("disk", called, f"{free}; make room, a minute of everything takes some 700 MB")
@@ -210,7 +194,7 @@ def _calibrations(gathered: Gathered) -> Iterator[Wrong]:
         facts = gathered.facts.get(name)
         made_ns = facts.calibrated_ns if facts is not None else None
         if made_ns is not None and (old := too_old(allowed, made_ns, gathered.at_ns)):
-            called = _called(name)
+            called = agent_name(name)
             yield Wrong("calibration", called, f"the calibration of {called} was {old}; {allowed.remedy}", grave=False)
 
 
@@ -236,8 +220,3 @@ def _logged(gathered: Gathered) -> Iterator[Wrong]:
         first_line = record.text.split("\n")[0]
         said = f"{called} {'told an error' if error else 'warned'}{times} {span_of(age_s)} ago: {first_line}"
         yield Wrong("error" if error else "warning", called, said, grave=error or record.agent == ROUTER)
-
-
-def _called(name: str) -> str:
-    """`robot_bridge/psm1` as people call it."""
-    return name_of(*name.split("/"))

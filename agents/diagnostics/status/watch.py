@@ -1,10 +1,10 @@
 """Gathers what `suturegrasp status` judges by: listens to what is small, and asks for the rest from time to time."""
 
 import contextlib
-import socket
 import threading
-from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
 
 from agents.configuration.digest import rig_sections
 from agents.configuration.reading_session import reading_session
@@ -13,11 +13,10 @@ from agents.configuration.topics import overrides
 from agents.diagnostics.status.agents import Pair, late_links
 from agents.diagnostics.status.calibrations import allowed_ages
 from agents.diagnostics.status.gathered import FROZEN, ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
-from agents.diagnostics.status.health_watch import Fare, HealthWatch, key_of
+from agents.diagnostics.status.health_watch import HealthWatch, key_of
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import (
-    AgentFacts,
     ExecutionEvent,
     HostClocks,
     Judgement,
@@ -30,7 +29,6 @@ from schemas.messages import (
 )
 from schemas.topics import CLOCKS, EXECUTION, LOG, OBSERVATIONS, ROBOT_STATE, TOOL
 from shared.clock import monotonic_s, now_ns
-from shared.runtime.clocks import ClockOffset
 from shared.runtime.connection import Connection
 from shared.runtime.identity import IdentityError, validity_ns
 from shared.runtime.taps import Tapped
@@ -51,23 +49,26 @@ class StatusWatch:
         self._connection, self._rig = connection, rig
         placed = placed_agents(rig)
         self._health = HealthWatch(connection, placed, placed | placed_beside(rig))
-        self._rates = expected_rates(rig)
-        self._addresses = {name: host.address for name, host in rig.hosts.items()}
         self._lock = threading.Lock()
+        self._known = Gathered(
+            at_ns=0,
+            rig=rig.rig,
+            endpoint=rig.router_endpoint,
+            router_host=rig.router.host or "",
+            addresses={name: host.address for name, host in rig.hosts.items()},
+            rates_hz=expected_rates(rig),
+            here_expires_ns=_own_expiry(rig),
+            overrides=overrides(rig.topics),
+            rig_sections=rig_sections(rig),
+            calibrations=allowed_ages(rig),
+        )
         self._present: list[str] = []
-        self._planner_clocks: HostClocks | None = None
         self._states: dict[str, RobotState] = {}
         self._events: dict[str, ExecutionEvent] = {}
-        self._errors: deque[LogRecord] = deque(maxlen=ERRORS_KEPT)
-        self._clocks: dict[str, ClockOffset | None] = {}
-        self._facts: dict[str, AgentFacts] = {}
-        self._expires_ns = _own_expiry(rig)
+        self._tools: dict[str, ToolCorrection] = {}
+        self._late_since: dict[Pair, float] | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._ask_again_and_again, name="asking", daemon=True)
-        self._tools: dict[str, ToolCorrection] = {}
-        self._other_rigs: tuple[str, ...] = ()
-        self._faults: tuple[Judgement, ...] = ()
-        self._late_since: dict[Pair, float] | None = None
         connection.listen((EXECUTION, LOG, CLOCKS, TOOL), self._take)
 
     def start(self) -> None:
@@ -94,43 +95,20 @@ class StatusWatch:
 
     def gathered(self) -> Gathered:
         """All that is known now."""
-        with self._lock:
-            states, events, planner_clocks = dict(self._states), dict(self._events), self._planner_clocks
-            clocks, facts, errors = dict(self._clocks), dict(self._facts), tuple(self._errors)
-            tools, faults, other_rigs = dict(self._tools), self._faults, self._other_rigs
-        arms, fares = sorted({*self._rig.robot, *states, *events}), tuple(self._health.fares())
+        fares = tuple(self._health.fares())
         if not (router := self._connection.has_router()):
             self._health.cut_off()
-        return Gathered(
-            at_ns=now_ns(),
-            rig=self._rig.rig,
-            endpoint=self._rig.router_endpoint,
-            router=router,
-            router_host=self._rig.router.host or "",
-            here=socket.gethostname(),
-            fares=fares,
-            addresses=self._addresses,
-            rates_hz=self._rates,
-            clocks=clocks,
-            planner_clocks=planner_clocks,
-            arms=tuple(ArmHeard(arm, states.get(arm), events.get(arm), tools.get(arm)) for arm in arms),
-            facts=facts,
-            said=errors,
-            here_expires_ns=self._expires_ns,
-            overrides=overrides(self._rig.topics),
-            rig_sections=rig_sections(self._rig),
-            calibrations=allowed_ages(self._rig),
-            other_rigs=other_rigs,
-            faults=faults,
-            late_s=self._late_s(fares),
-        )
+        with self._lock:
+            names = sorted({*self._rig.robot, *self._states, *self._events})
+            arms = (ArmHeard(a, self._states.get(a), self._events.get(a), self._tools.get(a)) for a in names)
+            known = replace(self._known, at_ns=now_ns(), router=router, fares=fares, arms=tuple(arms))
+        now_s, late = monotonic_s(), late_links(fares, known.rates_hz)
+        self._late_since = late_since(self._late_since, late, now_s)
+        return replace(known, late_s={pair: now_s - began_s for pair, began_s in self._late_since.items()})
 
-    def _late_s(self, fares: tuple[Fare, ...]) -> dict[Pair, float]:
-        """For how long each link has carried too little, look by look; one that did at first has for long."""
-        now_s, before = monotonic_s(), self._late_since
-        since = {pair: 0.0 if before is None else before.get(pair, now_s) for pair in late_links(fares, self._rates)}
-        self._late_since = since
-        return {pair: now_s - began_s for pair, began_s in since.items()}
+    def _note(self, **known: Any) -> None:
+        with self._lock:
+            self._known = replace(self._known, **known)
 
     def _take(self, tapped: Tapped) -> None:
         with contextlib.suppress(MessageError), self._lock:
@@ -141,11 +119,11 @@ class StatusWatch:
                 self._tools[_instance(tapped.key)] = decode(ToolCorrection, tapped.payload)
                 return
             if tapped.topic is CLOCKS:
-                self._planner_clocks = decode(HostClocks, tapped.payload)
+                self._known = replace(self._known, planner_clocks=decode(HostClocks, tapped.payload))
                 return
             record = decode(LogRecord, tapped.payload)
             if record.level in (LogLevel.WARNING, LogLevel.ERROR):
-                self._errors.append(record)
+                self._known = replace(self._known, said=(*self._known.said, record)[-ERRORS_KEPT:])
 
     def _ask_again_and_again(self) -> None:
         due = {
@@ -170,9 +148,7 @@ class StatusWatch:
         if (present := self._connection.present_if_told()) is not None:
             self._present = present
             self._health.note_present(present)
-            others = () if present else tuple(self._connection.other_rigs())
-            with self._lock:
-                self._other_rigs = others
+            self._note(other_rigs=() if present else tuple(self._connection.other_rigs()))
 
     def _hear_arms(self) -> None:
         """One state of each arm that is there: to hear all of them, at 100 Hz, would be most of the work here."""
@@ -211,18 +187,18 @@ class StatusWatch:
         with contextlib.suppress(MessageError, IndexError):
             observed = decode(ThreadObservations, newest[-1])
             faults = against_use(observed.judgements)
-        with self._lock:
-            self._faults = faults
+        self._note(faults=faults)
 
     def _ask_facts(self) -> None:
-        facts = self._connection.facts()
-        with self._lock:
-            self._facts = facts
+        self._note(facts=self._connection.facts())
 
     def _ask_clocks(self) -> None:
-        clocks = self._connection.clocks()
-        with self._lock:
-            self._clocks = clocks
+        self._note(clocks=self._connection.clocks())
+
+
+def late_since(before: Mapping[Pair, float] | None, late: Iterable[Pair], now_s: float) -> dict[Pair, float]:
+    """Since when each link has carried too little; one that did at the first look, with none `before`, has for long."""
+    return {pair: 0.0 if before is None else before.get(pair, now_s) for pair in late}
 
 
 def against_use(judgements: Iterable[Judgement]) -> tuple[Judgement, ...]:

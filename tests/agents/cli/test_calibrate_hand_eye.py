@@ -88,7 +88,7 @@ def test_a_base_where_none_can_be_is_not_written_and_one_of_no_known_calibration
     assert ended.status == 0, ended.err
     assert "does not say of which camera calibration it is, which a real arm needs" in ended.err
     assert "calibration_id" not in json.loads(written.read_text())
-    refused(suturegrasp("calibrate", "hand-eye", *in_m, "--output", written), "is there already")
+    refused(suturegrasp("calibrate", "hand-eye", *in_m, "--output", written), "exists already")
 
 
 @pytest.mark.parametrize(

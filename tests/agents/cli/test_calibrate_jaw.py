@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agents.cli.calibrate.jaw import listened
-from agents.cli.calibrate.jaw_options import Jaw
+from agents.cli.calibrate.options import Jaw
 from agents.cli.recordings.recompute import with_simulated_arms
 from agents.configuration.rig import RigConfig
 from agents.launch.builders import build
@@ -82,7 +82,7 @@ def test_what_it_writes_of_a_recording_is_what_the_bridge_closes_by(suturegrasp,
     assert zero.closes_rad == pytest.approx(CLOSES_RAD, abs=1e-3)
     assert (zero.arm, zero.instrument, zero.closings) == ("psm1", TOOL, 4)
     assert 0 <= zero.made_ns - EPOCH_NS < 60 * 10**9
-    refused(suturegrasp("calibrate", "jaw", tmp_path / "session.mcap", "--output", written), "is there already")
+    refused(suturegrasp("calibrate", "jaw", tmp_path / "session.mcap", "--output", written), "exists already")
 
 
 @pytest.mark.parametrize(

@@ -54,16 +54,12 @@ def test_a_journal_is_kept_and_reported_at_any_time(suturegrasp, tried):
     refused(suturegrasp("experiment", tried), "is no JSON")
 
 
-def test_without_a_router_or_with_another_thread_than_the_simulator_has_nothing_is_begun(
-    suturegrasp, tmp_path, monkeypatch
-):
-    config, begin = tmp_path / "rig.toml", ("experiment", tmp_path / "new", "--threads")
+def test_without_a_router_nothing_is_begun(suturegrasp, tmp_path, monkeypatch):
+    config = tmp_path / "rig.toml"
     config.write_text(f'[router]\nendpoint = "{free_local_endpoint()}"\nstart = false\n[robot.psm1]\n')
-    monkeypatch.setattr("agents.cli.experiment.rig.ROUTER_WAIT_S", 0.2)
-    ended = suturegrasp(*begin, "easy/paper", "--config", config)
+    monkeypatch.setattr("agents.cli.experiment.recorded.ROUTER_WAIT_S", 0.2)
+    ended = suturegrasp("experiment", tmp_path / "new", "--threads", "easy/paper", "--config", config)
     assert (ended.status, "no router answers" in ended.err) == (3, True)
-    ended = suturegrasp("experiment", tmp_path / "other", "--threads", "easy/chicken", "--start")
-    assert (ended.status, "background = 'chicken'" in ended.err) == (2, True)
 
 
 def test_a_refusal_counts_against_a_trial_only_where_it_speaks_against_the_plan():

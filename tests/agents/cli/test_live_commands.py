@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from agents.cli.demo.command import APART, FROM_END, goals_of
-from agents.cli.live.events import event_sentence
 from agents.cli.live.set import agent_and_rest, value_of
 from agents.diagnostics.status.health_watch import HealthWatch, health_table
 from agents.launch.session_folder import free_path, new_session_folder
 from agents.operator.operator import Stood
 from agents.planner.agent import Planner
 from schemas.messages import Checked, CommandAnswer, ExecutionEvent, ExecutionKind, Outcome
+from shared.execution_words import event_told
 from shared.runtime.connection import connected
 from shared.runtime.session import free_local_endpoint
 from tests.agents.cli.conftest import SCRIPT, refused
@@ -140,8 +140,8 @@ def test_every_event_has_its_words_and_what_was_refused_or_held_its_reason():
     for kind in ExecutionKind:
         ended = kind in (ExecutionKind.REFUSED, ExecutionKind.HELD)
         code, reason = ("stale", "too old") if ended else ("", "")
-        sentence = event_sentence(ExecutionEvent("plan-1", "psm1", 0, kind, None, code, reason))
-        assert sentence.startswith("psm1: ")
+        sentence = event_told(ExecutionEvent("plan-1", "psm1", 0, kind, None, code, reason))
+        assert sentence.startswith("psm1")
         assert ("stale" in sentence and "too old" in sentence) == ended
 
 

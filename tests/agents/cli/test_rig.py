@@ -12,7 +12,6 @@ from pydantic import BaseModel
 from agents.camera.agent import Camera
 from agents.configuration.rig import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
 from agents.launch.builders import build
-from agents.launch.perception_builder import perception_config
 from agents.launch.preflight import in_the_way, taken
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
@@ -55,9 +54,7 @@ def test_what_is_left_out_is_as_the_method_or_the_agent_needs_it():
         ('[perception]\n[reconstruction]\nmethod = "refined"', False),
         ('[perception]\n[reconstruction]\nmethod = "paper"', True),
     ):
-        told = rig(sections)
-        assert told.perception is not None
-        assert perception_config(told.perception, told.needs_matching).matching is matches
+        assert build(rig(sections), "perception", "main").config.matching is matches
     assert ArmSection().maximum_plan_age_s == RobotBridgeConfig().maximum_plan_age_s == MAXIMUM_PLAN_AGE_S
     named = ReconstructionSection.model_fields["method"]
     assert (set(get_args(named.annotation)), named.default) == (set(METHODS), DEFAULT_METHOD)

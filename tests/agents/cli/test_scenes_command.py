@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents.cli.lab.options import Scenes
 from agents.cli.lab.scenes import EXIT_SOME, jobs_of, run, summary
-from agents.cli.lab.scenes_options import Scenes
-from shared.calibration import write_calibration
+from shared.calibration import CalibrationError, write_calibration
 from shared.rendering.path_traced.batch import Done
 from shared.rendering.render import SceneError
 from shared.rigid_transforms import inverse
@@ -42,7 +42,7 @@ def test_a_calibrated_camera_is_seen_through_as_it_is_and_one_that_does_not_fit_
     np.testing.assert_array_equal(rig.eyes[0].distortion, camera.distortion_left)
     np.testing.assert_array_equal(rig.eyes[1].K, camera.K_right)
     assert not rig.is_rectified
-    with pytest.raises(SceneError, match="for 320x180 images, and these are 960x540"):
+    with pytest.raises(CalibrationError, match="for 320x180 images, and these are 960x540"):
         jobs_of(asked(calibration=(file,), size=(960, 540)))
     write_calibration(file, replace(camera, T_right_left=inverse(camera.T_right_left)))
     with pytest.raises(SceneError, match="the calibration cannot be used: The right camera stands to the left"):

@@ -93,7 +93,7 @@ def test_a_page_is_written_and_nothing_is_overwritten(suturegrasp, refused, reco
         ("inspect", ("--html", tmp_path / "no" / "a"), "no"),
         ("export", ("--output", tmp_path), "holds something already"),
         ("export", ("--output", page), "is a file"),
-        ("export", ("--output", tmp_path / "out", "--format", "xlsx"), "choose from csv, npz, json"),
+        ("export", ("--output", tmp_path / "out", "--format", "xlsx"), "Expected one of ('csv', 'npz', 'json')"),
         ("export", ("--output", tmp_path / "out", "--points", "1"), "must lie within 2 and 10000"),
     ):
         assert said in refused(command, recording, *options)[1]

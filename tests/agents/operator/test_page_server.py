@@ -14,6 +14,7 @@ import yarl
 
 from agents.cli.page.command import run
 from agents.cli.page.options import Page
+from agents.configuration.rig import simulated_rig
 from agents.operator.load import Processors
 from agents.operator.operator import ask_for_grasp
 from agents.operator.wire import KINDS
@@ -21,6 +22,7 @@ from schemas.codec import decode
 from schemas.messages import Arm, CommandRecord, ExecutionEvent, ExecutionKind, Heartbeat, Policy
 from schemas.topics import COMMANDS, EXECUTION, HEARTBEAT, ROBOT_STATE
 from shared.clock import now_ns
+from shared.runtime.config import ConfigError
 from shared.runtime.connection import connected
 from shared.runtime.identity import AUTHORITY_FILE
 from tests.agents.operator.by_hand import (
@@ -363,7 +365,7 @@ def test_what_is_hostile_gets_no_command_through(serve):
     serve(scenario)
 
 
-def test_off_loopback_it_is_served_with_the_operators_certificate_which_browsers_accept(serve, tls, capsys):
+def test_off_loopback_it_is_served_with_the_operators_certificate_which_browsers_accept(serve, tls):
     context, home = tls
 
     async def scenario(served):
@@ -376,5 +378,5 @@ def test_off_loopback_it_is_served_with_the_operators_certificate_which_browsers
                 await session.get(served.address, ssl=ssl.create_default_context())
 
     serve(scenario, tls=context)
-    assert run(Page(listen="192.0.2.1", open=False)) == 2
-    assert "leaves this machine, which needs TLS" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="leaves this machine, which needs TLS"):
+        run(simulated_rig(), Page(listen="192.0.2.1", open=False))

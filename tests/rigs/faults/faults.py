@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from tests.rigs.faults.lab import Lab
 from tests.rigs.faults.rig import HOSTS, KINDS, ROUTER, RUNS
+from tests.rigs.faults.slow_cable import delayed, losing
 
 AWAY_S = 0.5
 """How long what was killed is away before it is started again, as `up` starts it."""
@@ -88,8 +89,8 @@ def lossy() -> Fault:
     @contextmanager
     def during(lab: Lab) -> Generator[None]:
         with ExitStack() as stack:
-            stack.enter_context(lab.network.delayed(DELAY_S, LAB_HOSTS))
-            stack.enter_context(lab.network.losing(LOSS_PERCENT, LAB_HOSTS))
+            stack.enter_context(delayed(lab.network, DELAY_S, LAB_HOSTS))
+            stack.enter_context(losing(lab.network, LOSS_PERCENT, LAB_HOSTS))
             yield
 
     name = f"{LOSS_PERCENT} % loss, {1e3 * DELAY_S:.0f} ms delay"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.cli.lab.rehearsal.network import OWN, Network, connected_hosts
-from agents.cli.lab.rehearsal.processes import Processes, faketime
+from agents.cli.lab.rehearsal.processes import faketime
 from schemas.messages import GraspPlan, RobotMode, Status
 from schemas.topics import HEALTH, PLAN, ROBOT_STATE, THREAD
 from shared.clock import monotonic_s
@@ -18,6 +18,7 @@ from shared.runtime.connection import connected
 from tests.command_words import words
 from tests.rigs.faults.disk import Disk, small_disk
 from tests.rigs.faults.observer import Observer
+from tests.rigs.faults.processes import LabProcesses
 from tests.rigs.faults.rig import CONFIG, HOSTS, MODULE, ROUTER, RUNS, describe, settings_at
 
 COMPUTES = ("perception", "reconstruction")
@@ -40,7 +41,7 @@ class Lab:
     """What a trial acts on."""
 
     network: Network
-    processes: Processes
+    processes: LabProcesses
     observer: Observer
     disk: Disk
     folder: Path
@@ -153,7 +154,7 @@ def laboratory(folder: Path, rate_hz: float = 3.0, clocks: bool = False, emulate
     with contextlib.ExitStack() as stack:
         network = stack.enter_context(connected_hosts(HOSTS))
         processes = stack.enter_context(
-            contextlib.closing(Processes(network, folder, HOSTS if clocks else (), COMPUTES, at_once=True))
+            contextlib.closing(LabProcesses(network, folder, HOSTS if clocks else (), COMPUTES))
         )
         describe(network, rate_hz, folder, emulated)
         # one who hears all from the beginning

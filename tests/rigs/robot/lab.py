@@ -25,6 +25,7 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_session
 from shared.runtime.taps import Tapped, tap
+from tests.rigs.faults.processes import at_once
 from tests.rigs.robot.person import CALIBRATION
 
 RUNS_FOR_S, STANDS_S = 1.0, 1.0
@@ -208,7 +209,7 @@ class Lab:
             environment = {**os.environ, SUPERVISED: "1"}
             if f"clock of the {name}" == self._clock:
                 self.set_clock(name, 0.0)
-                environment |= faked(self._folder / f"{name}.clock", at_once=True)
+                environment |= at_once(faked(self._folder / f"{name}.clock"))
             self._running[name] = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=environment
             )

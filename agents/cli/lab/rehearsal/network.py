@@ -2,9 +2,6 @@
 
 Everything lies in namespaces named after the process that made them, but for the port of that process itself, so that
 removing those few names removes everything; what a killed process left behind is removed by the next one.
-
-A slow cable passes Ethernet frames between pairs of ports, each so long after it came. Linux' own netem is often left
-out of kernels. What comes keeps its order, and nothing is lost but where a port's buffer is full.
 """
 
 import array
@@ -13,14 +10,10 @@ import ipaddress
 import os
 import random
 import re
-import select
 import shutil
-import signal
 import socket
 import struct
 import subprocess
-import sys
-from collections import deque
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -28,32 +21,9 @@ from pathlib import Path
 
 import psutil
 
-from shared.clock import monotonic_s
-
-ALL_PROTOCOLS = 0x0003
-ROOM = 4 << 20
-LONGEST_FRAME = 65_600
-IGNORES_OWN = 23
-"""PACKET_IGNORE_OUTGOING of packet(7), which socket does not name."""
-SOL_PACKET = 263
 SIOCETHTOOL = 0x8946
 FLAGS = (0x17, 0x1F, 0x24, 0x2C)
 """Setting transmit checksums, segmentation, and both generic ones (ETHTOOL_STXCSUM, STSO, SGSO, SGRO)."""
-READY = "relaying"
-
-
-@contextmanager
-def relaying(inside: tuple[str, ...], pairs: list[tuple[str, str]], seconds: float) -> Generator[None]:
-    """A process that relays, within a namespace, from when it is ready."""
-    command = [*inside, sys.executable, "-m", __name__, str(seconds), *(f"{a}={b}" for a, b in pairs)]
-    # it ends with its standard input, even where we are killed
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            if process.stdout is None or process.stdout.readline().strip() != READY:
-                raise RuntimeError("the relay did not start")
-            yield
-        finally:
-            process.kill()
 
 
 def send_whole_packets(devices: tuple[str, ...]) -> None:
@@ -64,62 +34,6 @@ def send_whole_packets(devices: tuple[str, ...]) -> None:
                 value = array.array("B", struct.pack("II", flag, 0))
                 request = struct.pack("16sP", device.encode(), value.buffer_info()[0])
                 fcntl.ioctl(any_socket.fileno(), SIOCETHTOOL, request + b"\0" * 16)
-
-
-def relay(seconds: float, pairs: list[tuple[str, str]]) -> None:
-    """Relay until standard input ends."""
-    ports = {name: _port(name) for pair in pairs for name in pair}
-    other = {**{ports[a]: ports[b] for a, b in pairs}, **{ports[b]: ports[a] for a, b in pairs}}
-    waiting: deque[tuple[float, socket.socket, bytes]] = deque()
-    poll = select.poll()
-    by_number = {port.fileno(): port for port in other}
-    for number in (*by_number, 0):
-        poll.register(number, select.POLLIN)
-    print(READY, flush=True)
-    while True:
-        wait_s = max(0.0, waiting[0][0] - monotonic_s()) if waiting else 1.0
-        for number, _ in poll.poll(1000.0 * wait_s):
-            if number == 0:
-                return
-            _take(by_number[number], other[by_number[number]], seconds, waiting)
-        now_s = monotonic_s()
-        while waiting and waiting[0][0] <= now_s:
-            _, port, frame = waiting.popleft()
-            _send(port, frame)
-
-
-def _port(name: str) -> socket.socket:
-    port = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ALL_PROTOCOLS))
-    port.setsockopt(SOL_PACKET, IGNORES_OWN, 1)
-    port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
-    port.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ROOM)
-    port.bind((name, 0))
-    port.setblocking(False)
-    return port
-
-
-def _take(
-    port: socket.socket, towards: socket.socket, seconds: float, waiting: deque[tuple[float, socket.socket, bytes]]
-) -> None:
-    try:
-        while True:
-            waiting.append((monotonic_s() + seconds, towards, port.recv(LONGEST_FRAME)))
-    except BlockingIOError:
-        return
-
-
-def _send(port: socket.socket, frame: bytes) -> None:
-    try:
-        port.send(frame)
-    except OSError:
-        # a full buffer, or a port that is gone: as on a wire, it is lost
-        return
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    relay(float(sys.argv[1]), [tuple(pair.split("=")) for pair in sys.argv[2:]])  # pyright: ignore[reportArgumentType]
-    os._exit(0)
 
 
 PREFIX, NETWORK = "sg", "10.213"
@@ -183,14 +97,19 @@ class Network:
     @contextmanager
     def cut_off(self, host: str) -> Generator[None]:
         """Nothing reaches a host, and nothing comes from it."""
-        with self._dropping(host, "drop"):
+        with self.dropping((self.port(host),), "drop"):
             yield
 
     @contextmanager
-    def losing(self, percent: int, hosts: tuple[str, ...]) -> Generator[None]:
-        """A share of all packets from and to these hosts is lost, by chance."""
-        with self._dropping(hosts, f"numgen random mod 100 < {percent} drop"):
+    def dropping(self, ports: tuple[str, ...], verdict: str) -> Generator[None]:
+        """What passes the bridge through one of these ports meets a verdict of nftables."""
+        listed = "{ " + ", ".join(f'"{port}"' for port in ports) + " }"
+        for direction in ("iifname", "oifname"):
+            self.within(SWITCH, "nft", f"add rule bridge faults through {direction} {listed} {verdict}")
+        try:
             yield
+        finally:
+            self.within(SWITCH, "nft", "flush chain bridge faults through")
 
     @contextmanager
     def narrowed(self, megabits: int, hosts: tuple[str, ...]) -> Generator[None]:
@@ -198,42 +117,19 @@ class Network:
         shaped = [(SWITCH, self.port(host)) for host in hosts] + [(host, "eth0") for host in hosts]
         for namespace, device in shaped:
             bucket = ("rate", f"{megabits}mbit", "burst", "32k", "latency", "50ms")
-            self._within(namespace, "tc", "qdisc", "add", "dev", device, "root", "tbf", *bucket)
+            self.within(namespace, "tc", "qdisc", "add", "dev", device, "root", "tbf", *bucket)
         try:
             yield
         finally:
             for namespace, device in shaped:
                 _run("ip", "netns", "exec", self.namespace(namespace), "tc", "qdisc", "del", "dev", device, "root")
 
-    @contextmanager
-    def delayed(self, seconds: float, hosts: tuple[str, ...]) -> Generator[None]:
-        """Everything takes so much longer on the links of these hosts, each way."""
-        ports = [self.port(host) for host in hosts]
-        pairs = [(port, f"{port}-r") for port in ports]
-        for port in ports:
-            self._within(SWITCH, "ip", "link", "set", port, "nomaster")
-            self._within(SWITCH, "ip", "link", "set", f"{port}-b", "master", "bridge")
-        try:
-            with relaying(("ip", "netns", "exec", self.namespace(SWITCH)), pairs, seconds):
-                yield
-        finally:
-            for port in ports:
-                self._within(SWITCH, "ip", "link", "set", f"{port}-b", "nomaster")
-                self._within(SWITCH, "ip", "link", "set", port, "master", "bridge")
+    def within(self, host: str, *command: str) -> None:
+        """Run a command in the namespace that stands for a host, or for the switch.
 
-    @contextmanager
-    def _dropping(self, hosts: str | tuple[str, ...], verdict: str) -> Generator[None]:
-        those = [self.port(host) for host in ((hosts,) if isinstance(hosts, str) else hosts)]
-        ports = [port for one in those for port in (one, f"{one}-b")]
-        listed = "{ " + ", ".join(f'"{port}"' for port in ports) + " }"
-        for direction in ("iifname", "oifname"):
-            self._within(SWITCH, "nft", f"add rule bridge faults through {direction} {listed} {verdict}")
-        try:
-            yield
-        finally:
-            self._within(SWITCH, "nft", "flush chain bridge faults through")
-
-    def _within(self, host: str, *command: str) -> None:
+        Raises:
+            CannotError: where it fails.
+        """
         _must("ip", "netns", "exec", self.namespace(host), *command)
 
 
@@ -275,11 +171,6 @@ def _build(network: Network) -> None:
         _must("ip", "netns", "add", network.namespace(host))
         _plug(network, host, "eth0", network.namespace(host), network.address(host))
         _name_hosts(network, host)
-        # for a relay, which is put between a host's port and the bridge
-        ends = (f"{network.port(host)}-r", f"{network.port(host)}-b")
-        _must("ip", "-n", switch, "link", "add", ends[0], "type", "veth", "peer", "name", ends[1])
-        for end in ends:
-            _must("ip", "-n", switch, "link", "set", end, "up")
     if not network.given:
         _plug(network, OWN, f"{PREFIX}{network.owner}", None, f"{network.network}.1")
 

@@ -1,10 +1,9 @@
-"""The processes of a lab, each on its host, which can be killed, stopped, and given another clock."""
+"""The processes of a lab, each on its host, which can be killed, and given another clock."""
 
 import contextlib
 import os
-import signal
 import subprocess
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from agents.launch.supervisor import SUPERVISED, ending
 
 FAKETIME = "faketime/libfaketimeMT.so.1"
 FOLDERS = ("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib", "/usr/local/lib", "/usr/lib64")
-ENDS_S, STOPS_S = 5.0, 30.0
+ENDS_S = 5.0
 YIELDING = 15
 """As `nice` counts."""
 
@@ -30,12 +29,8 @@ def faketime() -> Path:
     raise CannotError("clocks are set with libfaketime, which is not installed (Debian: faketime)")
 
 
-def faked(file: Path, at_once: bool = False) -> dict[str, str]:
-    """The environment of a process whose clock stands in a file.
-
-    Args:
-        at_once: whether it sees what is written there with its next look at the clock, and not within a second. Each
-            look reads the file then, of which one that hears a console takes thousands a second.
+def faked(file: Path) -> dict[str, str]:
+    """The environment of a process whose clock stands in a file; it sees what is written there within a second.
 
     Raises:
         CannotError: where libfaketime is not installed.
@@ -45,7 +40,7 @@ def faked(file: Path, at_once: bool = False) -> dict[str, str]:
         "FAKETIME_TIMESTAMP_FILE": str(file),
         # intervals within a process go on as they do when a real clock is set
         "FAKETIME_DONT_FAKE_MONOTONIC": "1",
-        **({"FAKETIME_NO_CACHE": "1"} if at_once else {"FAKETIME_CACHE_DURATION": "1"}),
+        "FAKETIME_CACHE_DURATION": "1",
     }
 
 
@@ -56,7 +51,6 @@ class Processes:
     Fields:
         folder: where each writes what it says.
         clocks: hosts with a clock that can be set.
-        at_once: whether they see that with their next look, and not within a second; that costs a processor much.
         yielding: processes that leave the processors to others, whose hosts would have their own.
     """
 
@@ -64,7 +58,6 @@ class Processes:
     folder: Path
     clocks: tuple[str, ...] = ()
     yielding: tuple[str, ...] = ()
-    at_once: bool = False
     _running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict[str, "subprocess.Popen[bytes]"])
 
     def start(
@@ -92,24 +85,16 @@ class Processes:
             _yield(self._running[name].pid)
         return self._running[name]
 
-    def kill(self, name: str) -> str:
-        """SIGKILL, which nothing in the process hears; what a supervisor would say of it."""
+    def kill(self, name: str) -> None:
+        """SIGKILL, which nothing in the process hears.
+
+        Raises:
+            RuntimeError: where it had ended before.
+        """
         process = self._running[name]
         if process.poll() is not None:
-            raise RuntimeError(f"{name} had ended before: {self.said(name)}")
-        process.kill()
-        said = f"{name} {ending(process.wait(ENDS_S), self.log(name))}"
+            raise RuntimeError(f"{name} had ended before: {self.ended(name)}")
         self.forget(name)
-        return said
-
-    @contextlib.contextmanager
-    def stopped(self, name: str) -> Generator[None]:
-        """A process stands still."""
-        self._running[name].send_signal(signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            self._running[name].send_signal(signal.SIGCONT)
 
     def set_clock(self, host: str, ahead_s: float) -> None:
         """Set the clock of everything on a host; the other clocks of this system stay as they are."""
@@ -122,10 +107,6 @@ class Processes:
         """What a process printed."""
         return self.folder / f"{name}.log"
 
-    def said(self, name: str) -> str:
-        """What a process printed, as text."""
-        return self.log(name).read_text(errors="replace") if self.log(name).exists() else ""
-
     def status(self, name: str) -> int | None:
         """With which exit status a process has ended by itself; None while it runs."""
         process = self._running.get(name)
@@ -136,10 +117,6 @@ class Processes:
         status = self.status(name)
         return "" if status is None else f"{name} {ending(status, self.log(name))}"
 
-    def all_ended(self) -> list[str]:
-        """All that have ended by themselves."""
-        return [said for name in self._running if (said := self.ended(name))]
-
     def forget(self, name: str) -> None:
         """End a process, if it is still there."""
         process = self._running.pop(name, None)
@@ -149,21 +126,9 @@ class Processes:
             if process.stdin is not None:
                 process.stdin.close()
 
-    def stop(self, name: str) -> bool:
-        """Ask a process to end; whether it did within a while, or had to be killed."""
-        self._running[name].terminate()
-        try:
-            self._running[name].wait(STOPS_S)
-        except subprocess.TimeoutExpired:
-            return False
-        finally:
-            self.forget(name)
-        return True
-
     def close(self) -> None:
         """Stop all, and end what does not stop."""
         for process in self._running.values():
-            process.send_signal(signal.SIGCONT)
             process.terminate()
         for process in self._running.values():
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -179,7 +144,7 @@ class Processes:
             return {}
         if not self._clock_file(host).exists():
             self.set_clock(host, 0.0)
-        return faked(self._clock_file(host), self.at_once)
+        return faked(self._clock_file(host))
 
 
 def _yield(process: int) -> None:

@@ -21,6 +21,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+from agents.cli.lab.deploy import layout_of
 from agents.cli.lab.options import Deploy
 from agents.cli.lab.rehearsal.network import CannotError, Network, connected_hosts
 from agents.cli.lab.rehearsal.processes import Processes, faketime
@@ -39,7 +40,7 @@ from agents.deployment.certificates import issue
 from agents.deployment.layout import Layout
 from agents.deployment.units import NOT_OURS
 from agents.diagnostics.status.agents import RESTARTED
-from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, stopping
 from agents.registry import Pace, with_pace
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.config import ConfigError
@@ -175,7 +176,7 @@ class Rehearsal:
         return None
 
 
-def rehearse(options: Deploy, rig: RigConfig, layout_of: Callable[[RigConfig], Layout]) -> int:
+def rehearse(options: Deploy, rig: RigConfig) -> int:
     """Rehearse a rig; the exit status is 1 where it did not come up, or did not recover.
 
     Raises:
@@ -294,8 +295,7 @@ def _playing(
     started = {one.name: one for host in layout.hosts for one in started_on(layout, host, folder)}
     watchers = [host.name for host in layout.hosts if any(process.kind == OPERATOR for process in host.processes)]
     computing = tuple(name for name in started if name.split()[0] in with_pace(Pace.STEPS_BACK))
-    stopped = threading.Event()
-    on_stop(stopped.set)
+    stopped = stopping()
     with contextlib.ExitStack() as stack:
         network = stack.enter_context(connected_hosts(names, {host.name: host.address for host in layout.hosts}))
         processes = stack.enter_context(contextlib.closing(Processes(network, folder, clocks, computing)))

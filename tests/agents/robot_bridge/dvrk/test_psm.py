@@ -78,7 +78,7 @@ def test_while_a_plan_is_carried_out_the_emulated_console_does_all_that_doctor_a
     room.until(lambda: not room.moves)
     assert {one.what: one.state for one in judged(told)} == {
         "PSM1": "ok",
-        **{f"PSM1: {duty.what}": "ok" for duty in CONFORMANCE},
+        **{f"PSM1: {duty}": "ok" for duty in CONFORMANCE},
     }
 
 

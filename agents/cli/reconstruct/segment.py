@@ -6,13 +6,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from agents.camera.image_files import ImageFileError, read_image
-from agents.cli.segment.options import Segment, check
-from agents.cli.whole_file import OutputError, whole_file
+from agents.camera.image_files import read_image
+from agents.cli.reconstruct.options import Segment, check_segment
+from agents.cli.whole_file import whole_file
 from agents.perception.segmentation.classes import Kind, highest, scores_of
-from shared.terminal import UsageError, complain, say
+from shared.terminal import say
 
-EXIT_OK, EXIT_UNUSABLE_INPUT = 0, 2
 TINTS = {Kind.THREAD: (80, 255, 80), Kind.NEEDLE: (60, 230, 255), Kind.INSTRUMENT: (255, 140, 40)}
 """Blue, green, red."""
 TINT_SHARE = 0.55
@@ -22,20 +21,15 @@ Classes = UInt8[np.ndarray, "h w"]
 
 def run(options: Segment) -> int:
     """Segment as the options say and return the exit status; the one line about a failure goes to stderr."""
-    try:
-        check(options)
-        image = read_image(options.image)
-        scores = scores_of(image)
-        classes = highest(scores)
-        _write(options, image, scores, classes)
-    except (UsageError, ImageFileError, OutputError) as error:
-        return complain(str(error), EXIT_UNUSABLE_INPUT)
-    except MemoryError:
-        return complain("the memory does not suffice for an image of this size; give a smaller", EXIT_UNUSABLE_INPUT)
+    check_segment(options)
+    image = read_image(options.image)
+    scores = scores_of(image)
+    classes = highest(scores)
+    _write(options, image, scores, classes)
     # whoever has the classes written to standard output wants nothing else there
     if options.output.is_file():
         say(f"{_summary(classes)}: {', '.join(map(str, options.outputs.values()))}")
-    return EXIT_OK
+    return 0
 
 
 def tinted(image: Bgr, classes: Classes) -> Bgr:

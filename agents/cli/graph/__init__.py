@@ -1,1 +1,0 @@
-"""`suturegrasp graph`: who says what to whom."""
