@@ -10,7 +10,8 @@ from dataclasses import replace
 
 from agents.perception.concurrent import Beside
 from agents.perception.glances.glance import glance
-from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
+from agents.perception.judging.alignment import judge
+from agents.perception.judging.correspondence import correspondence_of
 from agents.perception.judging.whole import Whole
 from agents.perception.search import Pair, near_is_enough
 from agents.perception.segmenter_names import NETWORK
@@ -68,5 +69,4 @@ def _judged(observed: ThreadObservations, whole: Whole | None, coverage: Pair) -
 
 def _by_thread(images: Pair, coverage: Pair) -> tuple[Judgement, ...]:
     """How the images lie to each other, where the ground alone does not tell."""
-    thread = coverage[0] > 0, coverage[1] > 0
-    return judge(correspondence_of_texture(*images, *thread) or correspondence_of_masks(*thread), images[0].shape)
+    return judge(correspondence_of(*images, coverage[0] > 0, coverage[1] > 0), images[0].shape)

@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 from agents.perception.both_eyes.apart import drawn_together
 from agents.perception.centrelines.centrelines import NO_LINES, thread_lines
 from agents.perception.following.follow import trail_of
-from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
+from agents.perception.judging.alignment import judge
+from agents.perception.judging.correspondence import correspondence_of
 from agents.perception.mask_image import mask_image
 from agents.perception.paper.clustering import Clusters, cluster_and_order
 from agents.perception.paper.matching import Matches, is_inlier, match_pixels, searched_disparities
@@ -129,10 +130,7 @@ def _find(
         return _Found(reason)
     judgements = judged
     if judgements is None:
-        seen = correspondence_of_texture(left, right, segmented_left, segmented_right) or correspondence_of_masks(
-            segmented_left, segmented_right
-        )
-        judgements = judge(seen, left.shape)
+        judgements = judge(correspondence_of(left, right, segmented_left, segmented_right), left.shape)
     fault = next((j for j in judgements if j.severity is Severity.FAULT), None)
     if fault:
         return _Found(f"{fault.finding}; {fault.remedy}", judgements)

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.perception.judge import Correspondence, correspondence_of_masks, correspondence_of_texture, judge
+from agents.perception.judging.alignment import judge
+from agents.perception.judging.correspondence import Correspondence, correspondence_of_masks, correspondence_of_texture
 from agents.perception.observe import LARGEST_SEGMENTED_SHARE, LEAST_OBSERVATIONS, observe
 from schemas.messages import FrameStamp, RectifiedStereo, Severity, Status, ThreadObservations
 from shared.camera import project
