@@ -6,7 +6,6 @@ from jaxtyping import Bool, Float64
 from scipy.spatial import cKDTree
 
 from agents.reconstruction.confidence import assumed_unit
-from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.crossings import (
     crossings_of,
     left_over,
@@ -49,13 +48,13 @@ def reconstruction(
     observations: ThreadObservations,
     method: str,
     fit: Refined,
-    held: Held,
+    regions: ReliabilityRegions,
     reverse: bool,
     course: ThreadCourse | None,
     track: ThreadTrack | None = None,
 ) -> ThreadReconstruction:
     """The message; `reverse` exchanges the thread's ends, but not those of its course."""
-    camera, curve, regions = observations.camera, held.curve, held.regions
+    camera, curve = observations.camera, fit.curve
     s = SAMPLED
     covariance = point_covariance(fit, camera, s)
     if observations.calibration_covariance is not None:
@@ -65,7 +64,6 @@ def reconstruction(
     not_seen = ~seen(fit, camera)
     unseen = stretches(not_seen)
     hidden = hidden_of(project(camera, curve.at(_places())), not_seen, observations.occluders, camera.image_width)
-    order = np.argsort(held.s, kind="stable")
     way = slice(None, None, -1 if reverse else 1)
     turned, covariance = (
         Curve(curve.knots, curve.control_points[way].copy()) if reverse else curve,
@@ -84,11 +82,11 @@ def reconstruction(
         knots=curve.knots,
         control_points_camera=turned.control_points,
         regions=ReliabilityRegions(
-            _turned(held.s[order], reverse),
-            regions.centre_camera[order][way].copy(),
-            regions.bound_px[order][way].copy(),
-            regions.bound_depth[order][way].copy(),
-            held.slack[order][way].copy(),
+            _turned(regions.s, reverse),
+            regions.centre_camera[way].copy(),
+            regions.bound_px[way].copy(),
+            regions.bound_depth[way].copy(),
+            regions.slack[way].copy(),
         ),
         confidence_s=s,
         confidence=confidence[way].copy(),
