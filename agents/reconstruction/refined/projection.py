@@ -115,10 +115,10 @@ def fitted(spans: int, points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray
 
 @kept
 def _fit_matrix(spans: int) -> Float64[np.ndarray, "m n"]:
-    return np.linalg.pinv(_design(spans, even_places(spans)))
+    return np.linalg.pinv(design_matrix(spans, even_places(spans)))
 
 
-def _design(spans: int, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n m"]:
+def design_matrix(spans: int, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n m"]:
     """The basis functions at s, one in each column."""
     first, values, _ = basis_at(spans, s)
     basis = np.zeros((len(s), spans + DEGREE))

@@ -5,7 +5,7 @@ import scipy.special
 from jaxtyping import Bool, Float64
 from scipy.spatial import cKDTree
 
-from agents.reconstruction.confidence import assumed_unit
+from agents.reconstruction.paper import assumed_unit
 from agents.reconstruction.refined.crossings import (
     crossings_of,
     left_over,
@@ -13,7 +13,6 @@ from agents.reconstruction.refined.crossings import (
     other_threads_px,
     with_middles,
 )
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.posterior import bent_covariance, point_covariance
 from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, chords, even_parameters, pixels_evenly
 from agents.reconstruction.refined.refinement import Refined
@@ -179,7 +178,7 @@ def seen(fit: Refined, camera: RectifiedStereo) -> Bool[np.ndarray, "g"]:
             return np.zeros(UNSEEN_SAMPLES, bool)
         dense, along = _along_image(fit, camera, eye)
         place, here = np.interp(s, dense, along), np.interp(at, dense, along)
-        limit = max(LEAST_GAP, GAP_FACTOR * median(np.diff(place)))
+        limit = max(LEAST_GAP, GAP_FACTOR * np.median(np.diff(place)))
         after = np.clip(np.searchsorted(place, here), 1, len(s) - 1)
         near = np.minimum(np.abs(here - place[after - 1]), np.abs(place[after] - here))
         within = (here >= place[0]) & (here <= place[-1])
