@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.background_search import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
-from agents.perception.concurrent import begun_beside
+from agents.perception.background_search import FRAMES_BETWEEN_LOOKS_WATCHED, begun_beside, may_be_watched, watched
 from agents.perception.following.follow import every_second
 from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.instances import told_apart

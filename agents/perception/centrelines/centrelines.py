@@ -21,7 +21,8 @@ from agents.perception.centrelines.tips import to_tips
 from schemas.messages import Centrelines, no_centrelines
 
 SEGMENTED_COVERAGE = 96
-"""Coverage from which a pixel counts as thread; the same as where pixels are matched."""
+"""Coverage from which a pixel counts as thread. Below one half, so that a thread that is thinner than a pixel and
+falls between two still counts."""
 GROUND_PX = 12
 """Around the thread that is looked at."""
 SPACING_PX = 1.0

@@ -36,9 +36,9 @@ LEAST_WIDTH_PX = 0.1
 ASIDE_ALONG_PX, USUAL_ASIDE_PX = 8.0, 0.15
 FROM_CUT_WIDTHS = 2.0
 """From half as far to half as far again the edges give way to what is learned."""
-LEARNED_ALONG_PX, SEEN_ALONG_PX = 1.0, 1.5
-"""Profiles that the network learns from are averaged along the thread a little, and every second counts: neighbours
-hardly differ. Where none but those are seen, a slightly longer average leaves about as much of the noise."""
+SEEN_ALONG_PX = 1.5
+"""Standard deviation of the average along the thread of every second profile, as the network is shown them: neighbours
+hardly differ."""
 
 
 @dataclass(frozen=True)

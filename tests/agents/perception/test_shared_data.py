@@ -11,9 +11,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from agents.perception.centrelines import thread_centrelines
+from agents.perception.centrelines.centrelines import SEGMENTED_COVERAGE
 from agents.perception.judging.alignment import judge
 from agents.perception.judging.correspondence import correspondence_of
-from agents.perception.observe import SEGMENTED_COVERAGE, observe
+from agents.perception.observe import observe
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
 from agents.perception.segmentation.network import segment_network
 from agents.perception.segmentation.threshold import segment_threshold
