@@ -7,7 +7,7 @@ is added in squares. `docs/perception.md` says how well they hold.
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from agents.perception.centrelines.along import REACH, Pieces, directions, gaussian, median, smoothed
+from agents.perception.centrelines.along import REACH, Pieces, directions, gaussian, smoothed
 from agents.perception.centrelines.refine import Curves, Evidence, to_ends
 
 GRADED_PX = 0.005
@@ -62,7 +62,7 @@ def of_coverage(curves: Curves, seen: Evidence) -> Float64[np.ndarray, "n"]:
 
 def _usual_width(width: Float64[np.ndarray, "n"], pieces: Pieces) -> Float64[np.ndarray, "n"]:
     """Width of the thread hereabouts, hardly drawn up where strands touch."""
-    typical = median(width)
+    typical = np.median(width)
     clipped = np.clip(width, 0.7 * typical, 1.2 * typical)
     span = 2 * REACH + 1
     return smoothed(clipped[:, None], pieces, np.full(span, 1 / span))[:, 0].clip(0.7 * typical, 1.2 * typical)

@@ -60,8 +60,7 @@ def find_edges(
 def _gradient(share: Float32[np.ndarray, "t n"]) -> Float32[np.ndarray, "t n"]:
     """By the places on either side; at the ends, where no edge is looked for, it is 0."""
     gradient = np.zeros_like(share)
-    np.subtract(share[2:], share[:-2], out=gradient[1:-1])
-    gradient *= np.float32(0.5)
+    gradient[1:-1] = np.float32(0.5) * (share[2:] - share[:-2])
     return gradient
 
 
@@ -112,12 +111,9 @@ def _positive(
     seen: Float32[np.ndarray, "3 t n"], weight: Float64[np.ndarray, "3 n"], level: Float64[np.ndarray, "n"]
 ) -> Float32[np.ndarray, "t n"]:
     """What is above 0 of a weighted sum of the channels."""
-    of_channel = (weight / COLOUR_NOISE).astype(np.float32)
-    total = seen[0] * of_channel[0]
-    total += level.astype(np.float32)
-    for channel, share in zip(seen[1:], of_channel[1:], strict=True):
-        total += channel * share
-    return np.maximum(total, np.float32(0), out=total)
+    blue, green, red = (weight / COLOUR_NOISE).astype(np.float32)
+    total = seen[0] * blue + level.astype(np.float32) + seen[1] * green + seen[2] * red
+    return np.maximum(total, np.float32(0))
 
 
 def _settled(

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian, median, smoothed
+from agents.perception.centrelines.along import Pieces, blurred, gaussian, smoothed
 from agents.perception.centrelines.profiles import by_channel, sample
 
 WEIGHTS = Path(__file__).with_name("learned.npz")
@@ -125,7 +125,6 @@ LEAST_WIDTH, MOST_WIDTH = 0.6, 1.5
 NARROWEST_PX, WIDEST_PX = 1.0, 40.0
 COLOUR_NOISE, LIGHT = 5.0, 0.15
 """As for edges: deviations of a colour, in grey levels, and of how bright thread and ground are."""
-CHANNELS, NUMBERS = 6, 9
 LEAST_SHARE, MOST_SHARE = -4.0, 4.0
 LEAST_CONTRAST = 8.0
 USUAL_WIDTH_PX, USUAL_CONTRAST, USUAL_LEVEL = 5.0, 30.0, 100.0
@@ -140,7 +139,7 @@ def usual_width_px(
     Args:
         apart_px: how far points lie from each other.
     """
-    typical = median(width_px)
+    typical = np.median(width_px)
     clipped = np.clip(width_px, LEAST_WIDTH * typical, MOST_WIDTH * typical)[:, None]
     return smoothed(clipped, pieces, gaussian(WIDTH_ALONG_PX / apart_px))[:, 0].clip(NARROWEST_PX, WIDEST_PX)
 
@@ -170,9 +169,9 @@ def has_plain_ground(
     some, width = colour[:, ::PLAIN_STRIDE], width_px[::PLAIN_STRIDE]
     ground = some[np.abs(places)[:, None] * reach_px(width) > width / 2 + GROUND_FROM_PX]
     channels = np.ascontiguousarray(ground.T)
-    usual = np.array([median(channel) for channel in channels])
+    usual = np.array([np.median(channel) for channel in channels])
     away = np.abs(channels - usual[:, None])
-    return median(away.mean(axis=0)) < PLAIN
+    return float(np.median(away.mean(axis=0))) < PLAIN
 
 
 def straightened(
@@ -188,20 +187,16 @@ def straightened(
     ground = _mean(channels, off > width / 2 + GROUND_FROM_PX, pieces)
     thread = _mean(channels, off < width * THREAD_SHARE + THREAD_PX, pieces)
     contrast = np.sqrt(np.square(thread - ground).mean(axis=0)) + LEAST_CONTRAST
-    t, n = colour.shape[:2]
-    seen = np.empty((CHANNELS * t + NUMBERS, n), np.float32)
-    places = seen[: CHANNELS * t].reshape(t, CHANNELS, n).swapaxes(0, 1)
-    for place, channel, of_ground in zip(places, channels, ground, strict=False):
-        np.subtract(channel, of_ground, out=place)
-        np.multiply(place, 1 / contrast, out=place)
-    for place, (weight, offset) in zip(places[3:], _mixing(thread, ground), strict=True):
-        np.add(weight[0] * channels[0], offset, out=place)
-        for share, channel in zip(weight[1:], channels[1:], strict=True):
-            np.add(place, share * channel, out=place)
-    np.clip(seen[: CHANNELS * t], LEAST_SHARE, MOST_SHARE, out=seen[: CHANNELS * t])
+    blue, green, red = channels
+    colours = [(channel - of_ground) * (1 / contrast) for channel, of_ground in zip(channels, ground, strict=True)]
+    mixtures = [
+        weight[0] * blue + offset + weight[1] * green + weight[2] * red for weight, offset in _mixing(thread, ground)
+    ]
+    places = np.stack((*colours, *mixtures), axis=1).clip(LEAST_SHARE, MOST_SHARE)
     of_ground = ground.mean(axis=0)
-    seen[CHANNELS * t :] = np.concatenate(
+    seen = np.concatenate(
         (
+            places.reshape(-1, len(width)),
             np.log(width / USUAL_WIDTH_PX)[None],
             np.log(contrast / USUAL_CONTRAST)[None],
             (thread - ground) / contrast,
@@ -238,8 +233,6 @@ def _mean(
     """The mean colour of some places of the profiles hereabouts."""
     rows = np.flatnonzero(where.any(axis=1))
     some = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
-    total = np.empty((4, where.shape[1]), np.float32)
-    (channels[:, some] * where[some]).sum(axis=1, out=total[:3])
-    where[some].sum(axis=0, dtype=np.float32, out=total[3])
-    both = blurred(total, pieces, gaussian(ALONG))
+    total = (channels[:, some] * where[some]).sum(axis=1), where[some].sum(axis=0, dtype=np.float32)[None]
+    both = blurred(np.concatenate(total), pieces, gaussian(ALONG))
     return both[:3] / np.maximum(both[3], np.float32(LEAST))

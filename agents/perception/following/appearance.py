@@ -88,17 +88,12 @@ def _mixing(
 def _share(
     channels: list[Float32[np.ndarray, "t m"]], mixing: tuple[Float32[np.ndarray, "4 m"], ...]
 ) -> Float32[np.ndarray, "t m"]:
-    of_thread, total = (_weighted(channels, weights) for weights in mixing)
-    total += of_thread
-    of_thread /= np.maximum(total, np.float32(1e-6), out=total)
-    return of_thread
+    of_thread, of_ground = (_weighted(channels, weights) for weights in mixing)
+    return of_thread / np.maximum(of_ground + of_thread, np.float32(1e-6))
 
 
 def _weighted(
     channels: list[Float32[np.ndarray, "t m"]], weights: Float32[np.ndarray, "4 m"]
 ) -> Float32[np.ndarray, "t m"]:
-    total = channels[0] * weights[0]
-    total += weights[3]
-    for channel, weight in zip(channels[1:], weights[1:3], strict=True):
-        total += channel * weight
-    return np.maximum(total, np.float32(0), out=total)
+    total = channels[0] * weights[0] + weights[3] + channels[1] * weights[1] + channels[2] * weights[2]
+    return np.maximum(total, np.float32(0))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import STRIDE, Pieces, directions, gaussian, median
+from agents.perception.centrelines.along import STRIDE, Pieces, directions, gaussian
 from agents.perception.centrelines.deviation import deviations, of_edges
 from agents.perception.centrelines.learned import usual_width_px
 from agents.perception.centrelines.profiles import normals
@@ -122,7 +122,7 @@ def trail_of(
     some = some_of(pieces)
     if len(some) == 0:
         return Trail(loose_start, loose_end, np.zeros(0), np.zeros((0, 3, 3), np.uint8), loose_start, loose_end)
-    width, point, sampled = median(lines.width_px), lines.point_px[some], Pieces(pieces.number[some])
+    width, point, sampled = float(np.median(lines.width_px)), lines.point_px[some], Pieces(pieces.number[some])
     tangent = _tangents(point, sampled, width)
     colours = _colours(image, point, lines.width_px[some], sampled, tangent)
     tips, outward = _tips(sampled, tangent)
@@ -188,7 +188,7 @@ def follow(images: Sequence[UInt8[np.ndarray, "h w 3"]], where: Sequence[Expecte
 def _strips(where: Sequence[Expected], eyes: Eyes) -> _Strips:
     lines, eye = stacked_lines([each.lines for each in where], eyes)
     pieces = Pieces(lines.piece)
-    some, width = some_of_observed(pieces), median(lines.width_px)
+    some, width = some_of_observed(pieces), float(np.median(lines.width_px))
     sampled = Pieces(pieces.number[some])
     return _Strips(
         lines.point_px,
