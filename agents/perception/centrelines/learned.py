@@ -15,9 +15,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian, smoothed
+from agents.perception.centrelines.along import Pieces, gaussian, smoothed
+from agents.perception.centrelines.mixture import mean_colour, mixture_weights, weighted
 from agents.perception.centrelines.profiles import by_channel, sample
 
 WEIGHTS = Path(__file__).with_name("learned.npz")
@@ -123,12 +124,9 @@ WIDTH_ALONG_PX = 8.0
 LEAST_WIDTH, MOST_WIDTH = 0.6, 1.5
 """Of the whole thread's: what is narrower or wider was misjudged."""
 NARROWEST_PX, WIDEST_PX = 1.0, 40.0
-COLOUR_NOISE, LIGHT = 5.0, 0.15
-"""As for edges: deviations of a colour, in grey levels, and of how bright thread and ground are."""
 LEAST_SHARE, MOST_SHARE = -4.0, 4.0
 LEAST_CONTRAST = 8.0
 USUAL_WIDTH_PX, USUAL_CONTRAST, USUAL_LEVEL = 5.0, 30.0, 100.0
-LEAST = 1e-3
 
 
 def usual_width_px(
@@ -184,14 +182,13 @@ def straightened(
     """
     width, channels = width_px.astype(np.float32), by_channel(colour)
     off = np.abs(PLACES)[:, None] * (width + np.float32(BEYOND_PX))
-    ground = _mean(channels, off > width / 2 + GROUND_FROM_PX, pieces)
-    thread = _mean(channels, off < width * THREAD_SHARE + THREAD_PX, pieces)
+    ground = mean_colour(channels, off > width / 2 + GROUND_FROM_PX, pieces, ALONG)
+    thread = mean_colour(channels, off < width * THREAD_SHARE + THREAD_PX, pieces, ALONG)
     contrast = np.sqrt(np.square(thread - ground).mean(axis=0)) + LEAST_CONTRAST
-    blue, green, red = channels
     colours = [(channel - of_ground) * (1 / contrast) for channel, of_ground in zip(channels, ground, strict=True)]
-    mixtures = [
-        weight[0] * blue + offset + weight[1] * green + weight[2] * red for weight, offset in _mixing(thread, ground)
-    ]
+    brightness = 1 / (ground.sum(axis=0) + 3 * LEAST_CONTRAST)
+    against_ground = np.stack((brightness, brightness, brightness, np.full_like(brightness, -1)))
+    mixtures = [weighted(channels, weights) for weights in (against_ground, *mixture_weights(thread, ground))]
     places = np.stack((*colours, *mixtures), axis=1).clip(LEAST_SHARE, MOST_SHARE)
     of_ground = ground.mean(axis=0)
     seen = np.concatenate(
@@ -205,34 +202,3 @@ def straightened(
         )
     )
     return seen.T
-
-
-def _mixing(
-    thread: Float32[np.ndarray, "3 n"], ground: Float32[np.ndarray, "3 n"]
-) -> list[tuple[Float32[np.ndarray, "3 n"], Float32[np.ndarray, "n"]]]:
-    """Weights of a colour's channels, and what is added: for the brightness, and for the share of either colour.
-
-    The shares of both colours are those that explain the colour best where both, in an even light, sum to one: as for
-    edges.
-    """
-    even, t, g = np.float32(1 / LIGHT**2), thread / COLOUR_NOISE, ground / COLOUR_NOISE
-    tt, gg, tg = ((one * other).sum(axis=0) + even for one, other in ((t, t), (g, g), (t, g)))
-    tt, gg = tt + 1, gg + 1
-    scale = 1 / (tt * gg - tg**2)
-    brightness = 1 / (ground.sum(axis=0) + 3 * LEAST_CONTRAST)
-    return [
-        (np.stack((brightness,) * 3), np.full_like(scale, -1)),
-        ((t * gg - g * tg) * (scale / COLOUR_NOISE), even * (gg - tg) * scale),
-        ((g * tt - t * tg) * (scale / COLOUR_NOISE), even * (tt - tg) * scale),
-    ]
-
-
-def _mean(
-    channels: Float32[np.ndarray, "3 t n"], where: Bool[np.ndarray, "t n"], pieces: Pieces
-) -> Float32[np.ndarray, "3 n"]:
-    """The mean colour of some places of the profiles hereabouts."""
-    rows = np.flatnonzero(where.any(axis=1))
-    some = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
-    total = (channels[:, some] * where[some]).sum(axis=1), where[some].sum(axis=0, dtype=np.float32)[None]
-    both = blurred(np.concatenate(total), pieces, gaussian(ALONG))
-    return both[:3] / np.maximum(both[3], np.float32(LEAST))

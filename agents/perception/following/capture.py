@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import Pieces, blurred, gaussian, smoothed
-from agents.perception.centrelines.edges import COLOUR_NOISE, LIGHT
+from agents.perception.centrelines.mixture import COLOUR_NOISE, LIGHT
 from agents.perception.centrelines.profiles import sample
 from agents.perception.following.appearance import Colours, share_of_thread
 
