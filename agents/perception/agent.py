@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.background_search import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
-from agents.perception.concurrent import begun_beside
+from agents.perception.background_search import FRAMES_BETWEEN_LOOKS_WATCHED, begun_beside, may_be_watched, watched
 from agents.perception.following.follow import every_second
 from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.instances import told_apart
@@ -16,7 +15,7 @@ from agents.perception.judging.whole import judge_whole
 from agents.perception.needle import needle_observed
 from agents.perception.observe import observe
 from agents.perception.occluders import instruments_in
-from agents.perception.prompt_answer import answer_to
+from agents.perception.prompt import reach_px
 from agents.perception.schedule import Due, due
 from agents.perception.search import FRAMES_BETWEEN_LOOKS, Looked, look_everywhere, look_near
 from agents.perception.segmentation.choice import segmenters_with
@@ -27,7 +26,6 @@ from agents.perception.unusable import nominal_camera, unusable
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
-    Outcome,
     Prompt,
     RightEye,
     Status,
@@ -53,6 +51,7 @@ from shared.rectification import (
 )
 from shared.right_eye import right_eye_of, whole_rows
 from shared.runtime.agent import Agent, Command, Input, Later, Output, Received, Reply, Tick
+from shared.runtime.commands import accepted, refused
 from shared.runtime.parameters import OneOf, settable
 
 Pixel = Float64[np.ndarray, "2"]
@@ -304,7 +303,29 @@ class Perception(Agent):
         pair = None
         if self._frame is not None and self._calibration is not None:
             pair = self._rectified(self._frame, self._calibration)
-        answer = answer_to(prompt, pair, self.config.segmenter)
-        if answer.outcome is Outcome.ACCEPTED:
-            self._last, self._prompt_px = None, prompt.pixel
-        return answer
+        if prompt.pixel is not None and (refusal := _refusal(prompt.pixel, pair, self.config.segmenter)):
+            return refused(prompt.header.id, *refusal)
+        self._last, self._prompt_px = None, prompt.pixel
+        return accepted(prompt.header.id)
+
+
+def _refusal(pixel: Pixel, pair: RectifiedPair | str | None, segmenter: str | None) -> tuple[str, str] | None:
+    """Why a prompt is refused, with a code: nothing like thread lies near it in the last frame.
+
+    Args:
+        pair: the last frame; why it cannot be used, or None before the first.
+        segmenter: as configured; None where it is chosen.
+    """
+    if pair is None:
+        return "no_frame", "there is no frame yet to find thread in; start the camera"
+    if isinstance(pair, str):
+        return "unusable_frame", f"the last frame cannot be used: {pair}"
+    height, width = pair.images[0].shape[:2]
+    u, v = pixel
+    if not (0 <= u <= width - 1 and 0 <= v <= height - 1):
+        return "outside", f"({u:.0f}, {v:.0f}) lies outside the left image of {width}x{height} pixels"
+    # the answer cannot wait for such a network; where it finds nothing, the next observations say so
+    if segmenter != PROMPTABLE and not look_everywhere(pair.images, 0, segmenter, pixel).coverage[0].any():
+        reason = f"nothing like thread lies within {reach_px(width):.0f} px of ({u:.0f}, {v:.0f}) in the left image"
+        return "no_thread", reason
+    return None

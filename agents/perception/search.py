@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from agents.perception.judge import correspondence_of_texture, judge
+from agents.perception.judging.alignment import judge
+from agents.perception.judging.correspondence import correspondence_of_texture
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
 from agents.perception.schedule import judged_in
 from agents.perception.segmentation.boxes import Near

@@ -166,13 +166,24 @@ def solve(
     objective = scipy.sparse.block_diag((variation_matrix(knots), scipy.sparse.csc_matrix((n, n))))
     C = inequality_matrix(basis_matrix(knots, DEGREE, s), faces)
     give = scipy.sparse.kron(scipy.sparse.eye(n), -np.ones((6, 1)))
-    x = program_solution(
+    solver = piqp.SparseSolver()
+    solver.settings.max_iter = MOST_ITERATIONS
+    solver.setup(
         scipy.sparse.csc_matrix(objective),
         np.concatenate((np.zeros(variables), np.full(n, price))),
+        None,
+        None,
         scipy.sparse.csc_matrix(scipy.sparse.hstack((C, give))),
+        None,
         -faces.offset.ravel(),
         np.concatenate((np.full(variables, -np.inf), np.zeros(n))),
+        None,
     )
+    status = solver.solve()
+    if status != piqp.PIQP_SOLVED:
+        reported = status.name.removeprefix("PIQP_").lower().replace("_", " ")
+        raise UnsolvedError(f"no curve was found, the observations may contradict each other (solver: {reported})")
+    x = np.array(solver.result.x)
     slack = x[variables:]
     return x[:variables].reshape(-1, 3), np.where(slack > NEGLIGIBLE_SLACK, slack, 0.0)
 
@@ -195,21 +206,3 @@ def inequality_matrix(basis: Float64[np.ndarray, "n m"], faces: Faces) -> scipy.
     row_index = np.broadcast_to(6 * rows[:, None, None] + np.arange(6)[:, None], blocks.shape)
     column_index = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), blocks.shape)
     return scipy.sparse.csc_matrix((blocks.ravel(), (row_index.ravel(), column_index.ravel())), shape=(6 * n, 3 * m))
-
-
-def program_solution(
-    H: scipy.sparse.csc_matrix,
-    c: Float64[np.ndarray, "v"],
-    G: scipy.sparse.csc_matrix,
-    upper: Float64[np.ndarray, "r"],
-    least: Float64[np.ndarray, "v"],
-) -> Float64[np.ndarray, "v"]:
-    """Of min ½ xᵀHx + cᵀx so that G x ≤ upper and x ≥ least."""
-    solver = piqp.SparseSolver()
-    solver.settings.max_iter = MOST_ITERATIONS
-    solver.setup(H, c, None, None, G, None, upper, least, None)
-    status = solver.solve()
-    if status != piqp.PIQP_SOLVED:
-        reported = status.name.removeprefix("PIQP_").lower().replace("_", " ")
-        raise UnsolvedError(f"no curve was found, the observations may contradict each other (solver: {reported})")
-    return np.array(solver.result.x)

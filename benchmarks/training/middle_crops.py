@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from agents.perception.centrelines.along import STRIDE, Pieces, blurred, gaussian
 from agents.perception.centrelines.learned import BEYOND_PX, PLACES, straightened
-from agents.perception.centrelines.refine import LEARNED_ALONG_PX
 from benchmarks.training.middle_drawn import SHADOW_WIDTHS, drawn_view, shadow_band
 from benchmarks.training.middle_views import WIDE_PLACES, MiddleView
 
@@ -26,6 +25,8 @@ NONE = -1
 ASIDE_PX, JITTER_PX, MOST_ASIDE_PX = 0.4, 0.08, 1.2
 """Standard deviations of how far a rough middle is drawn aside, at most, over long and within short distances."""
 KNOT_POINTS = 16
+ALONG_PX = 1.0
+"""Standard deviation of the average along the thread, of which every second profile counts."""
 WIDTH_SPREAD = 0.06
 MORE_LIGHT, SHADOW_SHARE, MORE_SHADOW, BLUR_SHARE = 0.12, 0.4, 0.4, 0.25
 """Of light across the thread; of views that get another shadow; how deep that is at most; of views that are blurred."""
@@ -159,7 +160,7 @@ def _stretches(length: int) -> Pieces:
 
 
 def _averaged(colour: Float32[np.ndarray, "n t 3"], pieces: Pieces) -> Float32[np.ndarray, "n t 3"]:
-    return blurred(_across(colour), pieces, gaussian(LEARNED_ALONG_PX)).swapaxes(0, 1)
+    return blurred(_across(colour), pieces, gaussian(ALONG_PX)).swapaxes(0, 1)
 
 
 def _across(colour: np.ndarray) -> Float32[np.ndarray, "t n 3"]:

@@ -9,11 +9,13 @@ import torch
 from jaxtyping import Float32
 from torch import nn
 
-from agents.perception.centrelines.learned import CHANNELS, DILATIONS, LEAST_SPREAD, NUMBERS, PLACES
+from agents.perception.centrelines.learned import DILATIONS, LEAST_SPREAD, PLACES
 
 STATES, LIGHTS, TAPS = 64, 6, 5
 DROPPED = 0.1
 """Of the first states, while it learns."""
+CHANNELS, NUMBERS = 6, 9
+"""Of each place of a profile, and of a profile as a whole, as `learned.straightened` gives them."""
 FEATURES = CHANNELS * len(PLACES) + NUMBERS
 
 

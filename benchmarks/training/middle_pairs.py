@@ -12,13 +12,11 @@ from agents.perception.both_eyes.network_inputs import (
     PLACES,
     RIGHT,
     Eye,
-    beside_mirror,
+    Shown,
+    eyes_of,
     from_other_side,
     numbers,
-    of_each_eye,
-    seen_by,
     together,
-    upside_down,
 )
 from agents.perception.both_eyes.same_places import SamePlaces, between, same_places
 from agents.perception.centrelines import thread_centrelines
@@ -85,14 +83,11 @@ def _of_pair(folder: Path, left: View, right: View) -> PairProfiles | None:
     if places is None:
         return None
     apart, known = _apart((truth_of(folder, left), truth_of(folder, right)), lines, places)
-    eyes = tuple(
-        seen_by(image, line, at, normal, places.stretches, WIDE_PLACES)
-        for image, line, at, normal in of_each_eye(images, (lines[LEFT], lines[RIGHT]), places)
-    )
+    eyes = eyes_of(images, (lines[LEFT], lines[RIGHT]), places, WIDE_PLACES)
     plain = any(has_plain_ground(eye.colour[INNER], eye.width_px, PLACES) for eye in eyes)
     if known.sum() < LEAST_KNOWN or plain:
         return None
-    return PairProfiles(left.name.removesuffix("_left"), (eyes[LEFT], eyes[RIGHT]), apart, known, places.stretches)
+    return PairProfiles(left.name.removesuffix("_left"), eyes, apart, known, places.stretches)
 
 
 def _apart(
@@ -143,6 +138,17 @@ def features(
     if mirrored:
         shown, apart = from_other_side(shown), -apart
     return numbers(shown), np.clip(apart, -MOST_PX, MOST_PX)
+
+
+def beside_mirror(shown: Shown) -> Shown:
+    """The scene in a mirror that stands beside it, in which the eyes change places."""
+    aside = np.array([-1, 1], np.float32)
+    return Shown(shown.seen[::-1], shown.log_deviation[::-1], shown.normal[::-1] * aside, shown.width_px)
+
+
+def upside_down(shown: Shown) -> Shown:
+    """The scene in a mirror that lies below it."""
+    return Shown(shown.seen, shown.log_deviation, shown.normal * np.array([1, -1], np.float32), shown.width_px)
 
 
 def drawn_aside(eye: Eye, by_px: Float64[np.ndarray, "n"]) -> Eye:

@@ -8,7 +8,7 @@ from jaxtyping import Float64, UInt8
 
 from agents.perception.instances import as_sent, told_apart
 from agents.perception.judging.answers import judgements
-from agents.perception.judging.picture import about_exposure, exposures
+from agents.perception.judging.picture import about_exposure
 from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
 from agents.perception.search import look_everywhere
@@ -103,7 +103,7 @@ def reconstruct_pair(
             *whole.offset,
             *observations.judgements,
             *whole.pictures,
-            *judgements([about_exposure(*exposures(left, right))]),
+            *judgements([about_exposure(left, right)]),
         )
         eye = whole.right_eye
         observations = replace(as_sent(observations), judgements=found, right_eye=eye, rows_moved_up=whole_rows(eye))

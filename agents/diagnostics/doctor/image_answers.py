@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import UInt8
 
+from agents.perception.judging.alignment import about_alignment
 from agents.perception.judging.answers import Answer, well, wrong
-from agents.perception.judging.correspondence import texture_of
-from agents.perception.judging.features import grey
-from agents.perception.judging.pair import ALIGNMENT, about_alignment, about_pair
+from agents.perception.judging.correspondence import correspondence_of_texture
+from agents.perception.judging.pair import ALIGNMENT, about_pair
 from agents.perception.observe import LARGEST_SEGMENTED_SHARE
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
 from schemas.messages import Severity, StereoCalibration
@@ -95,11 +95,11 @@ def _order(images: Pair, to_rectified: Rectification, answers: list[Answer]) -> 
     if not amiss or codes & {"left_right_swapped", "mirrored", "no_disparity"}:
         return []
     for code, finding, remedy, undone in TRIALS:
-        left, right = (grey(image) for image in _rectified(undone(images), to_rectified))
-        texture = texture_of(left, right)
-        if texture.seen is None:
+        left, right = _rectified(undone(images), to_rectified)
+        seen = correspondence_of_texture(left, right)
+        if seen is None:
             continue
-        tried = about_alignment(texture.seen, to_rectified.camera)
+        tried = about_alignment(seen, left.shape, to_rectified.camera)
         if all(answer.is_known and answer.wrong is None for answer in tried):
             return [wrong(ORDER, code, Severity.FAULT, f"{finding}: the other way round they fit each other", remedy)]
     return []

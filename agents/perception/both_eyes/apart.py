@@ -16,8 +16,8 @@ from agents.perception.both_eyes.network_inputs import (
     LEFT,
     Image,
     Shown,
+    from_other_side,
     numbers,
-    numbers_from_other_side,
     shown_in_both,
 )
 from agents.perception.both_eyes.same_places import same_places
@@ -73,8 +73,7 @@ def drawn_together(
 
 def apart_px(shown: Shown, stretches: Pieces, weights: Weights | None = None) -> Float64[np.ndarray, "n"]:
     """By how much more the left middle errs along its normal than the right one; in a mirror the opposite is said."""
-    of_one = numbers(shown)
-    seen = np.concatenate((of_one, numbers_from_other_side(of_one)))
+    seen = np.concatenate((numbers(shown), numbers(from_other_side(shown))))
     number = stretches.number
     both = Pieces(np.concatenate((number, number + number[-1] + 1)))
     said, opposite = np.split(_told(seen, both, weights or own_weights()), 2)

@@ -1,6 +1,5 @@
 """What both eyes show across a thread at the same places, in numbers that a network is shown."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -71,37 +70,34 @@ def shown_in_both(
 
     That casts no light on a thread and shows no edges but the thread's: nothing beats those.
     """
-    eyes: list[Eye] = []
-    for image, line, at, normal in of_each_eye(images, lines, places):
-        eye = seen_by(image, line, at, normal, places.stretches)
-        if has_plain_ground(eye.colour, eye.width_px, PLACES):
-            return None
-        eyes.append(eye)
-    return together(eyes[LEFT], eyes[RIGHT])
+    left, right = eyes_of(images, lines, places)
+    if any(has_plain_ground(eye.colour, eye.width_px, PLACES) for eye in (left, right)):
+        return None
+    return together(left, right)
 
 
-def of_each_eye(
-    images: tuple[Image, Image], lines: tuple[Centrelines, Centrelines], places: SamePlaces
-) -> Iterable[tuple[Image, Centrelines, Float64[np.ndarray, "n"], Float64[np.ndarray, "n 2"]]]:
-    """The left image, its line, where along it the places are, and its normals there; and the right ones."""
-    at = places.left_at.astype(np.float64), places.right_at
-    return zip(images, lines, at, (places.left_normal, places.right_normal), strict=True)
+def eyes_of(
+    images: tuple[Image, Image],
+    lines: tuple[Centrelines, Centrelines],
+    places: SamePlaces,
+    shares: Float32[np.ndarray, "t"] = PLACES,
+) -> tuple[Eye, Eye]:
+    """What the left and the right eye show across their lines, at shares of the reach."""
+    left_at = places.left_at.astype(np.float64)
+    return (
+        _seen_by(images[LEFT], lines[LEFT], left_at, places.left_normal, places.stretches, shares),
+        _seen_by(images[RIGHT], lines[RIGHT], places.right_at, places.right_normal, places.stretches, shares),
+    )
 
 
-def seen_by(
+def _seen_by(
     image: Image,
     line: Centrelines,
     at: Float64[np.ndarray, "n"],
     normal: Float64[np.ndarray, "n 2"],
     stretches: Pieces,
-    shares: Float32[np.ndarray, "t"] = PLACES,
+    shares: Float32[np.ndarray, "t"],
 ) -> Eye:
-    """What one eye shows across its line.
-
-    Args:
-        at: where along the line's points.
-        shares: of the reach, where the profiles are seen.
-    """
     values = between(np.column_stack((line.point_px, line.width_px, line.deviation_px)), at)
     width = usual_width_px(values[:, 2], stretches, APART_PX)
     seen = sample(image, values[:, :2], normal, shares[:, None] * reach_px(width), cv2.BORDER_REPLICATE)
@@ -152,22 +148,3 @@ def numbers(shown: Shown) -> Float32[np.ndarray, "n f"]:
 def from_other_side(shown: Shown) -> Shown:
     """Profiles read from their other side, with the normals turned round."""
     return Shown(shown.seen[:, :, ::-1], shown.log_deviation, -shown.normal, shown.width_px)
-
-
-def numbers_from_other_side(numbers: Float32[np.ndarray, "n f"]) -> Float32[np.ndarray, "n f"]:
-    """What a network is shown of `from_other_side`, from what it is shown of each place: in a quarter of the time."""
-    colours = 2 * len(PLACES) * 3
-    seen, same, turned = np.split(numbers, (colours, colours + 3), axis=1)
-    seen = seen.reshape(len(numbers), 2, len(PLACES), 3)[:, :, ::-1].reshape(len(numbers), -1)
-    return np.concatenate((seen, same, -turned), axis=1)
-
-
-def beside_mirror(shown: Shown) -> Shown:
-    """The scene in a mirror that stands beside it, in which the eyes change places."""
-    aside = np.array([-1, 1], np.float32)
-    return Shown(shown.seen[::-1], shown.log_deviation[::-1], shown.normal[::-1] * aside, shown.width_px)
-
-
-def upside_down(shown: Shown) -> Shown:
-    """The scene in a mirror that lies below it."""
-    return Shown(shown.seen, shown.log_deviation, shown.normal * np.array([1, -1], np.float32), shown.width_px)

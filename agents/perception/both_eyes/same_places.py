@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 
-from agents.perception.centrelines.along import Pieces, directions, gaussian, median, numbered
+from agents.perception.centrelines.along import Pieces, directions, gaussian, numbered
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import tangent_sigma
 from schemas.messages import Centrelines
@@ -180,7 +180,7 @@ def same_places(left: Centrelines, right: Centrelines, reach: Disparities) -> Sa
 
 
 def _normals(lines: Centrelines, pieces: Pieces) -> Float64[np.ndarray, "n 2"]:
-    return normals(directions(lines.point_px, pieces, gaussian(tangent_sigma(median(lines.width_px)))))
+    return normals(directions(lines.point_px, pieces, gaussian(tangent_sigma(float(np.median(lines.width_px))))))
 
 
 def _cosine(normal: tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n 2"]]) -> Float64[np.ndarray, "n"]:
@@ -221,7 +221,7 @@ def _chosen(found: _Candidates, piece: Int64[np.ndarray, "n"], reach: Disparitie
     """Which candidates are meant for certain, by themselves or by those beside them."""
     chosen = _alone(found)
     if chosen.any():
-        chosen &= np.abs(found.disparity_px - median(found.disparity_px[chosen])) < reach.about_px
+        chosen &= np.abs(found.disparity_px - np.median(found.disparity_px[chosen])) < reach.about_px
     for _ in range(ROUNDS):
         told = np.zeros(len(piece), bool)
         told[found.sample[chosen]] = True

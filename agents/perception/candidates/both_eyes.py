@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from agents.perception.candidates.links import Looks, unlikeness
-from agents.perception.candidates.threads import Threads
+from agents.perception.candidates.threads import Threads, pieces_of
 from schemas.messages import Centrelines
 from shared.disparities import Disparities
 
@@ -95,3 +95,14 @@ def same_place(
     heap = np.bincount((disparity[may_be] / bin_px).astype(np.intp))
     usual = (float(np.argmax(np.convolve(heap, np.ones(5), mode="same"))) + 0.5) * bin_px
     return may_be & (np.abs(disparity - usual) <= reach.about_px), usual
+
+
+def length_in_common_px(lines: tuple[Centrelines, Centrelines], reach: Disparities) -> float:
+    """The length of what both eyes show of the lines of a rectified pair, in the eye that shows less of it."""
+    left, right = lines
+    of_left, of_right = pieces_of(left), pieces_of(right)
+    if not (of_left and of_right):
+        return 0.0
+    left_px, right_px = left.point_px[sampled(of_left)[0]], right.point_px[sampled(of_right)[0]]
+    same, _ = same_place(left_px, right_px, np.ones((len(left_px), len(right_px)), bool), reach)
+    return float(EVERY * min(np.count_nonzero(same.any(axis=axis)) for axis in (0, 1)))

@@ -24,16 +24,12 @@ class Pieces:
     @cached_property
     def first(self) -> Int64[np.ndarray, "k"]:
         """Index of the first point of each piece."""
-        begins = np.ones(len(self.number), bool)
-        np.not_equal(self.number[1:], self.number[:-1], out=begins[1:])
-        return begins.nonzero()[0]
+        return np.flatnonzero(np.diff(self.number, prepend=-1))
 
     @cached_property
     def last(self) -> Int64[np.ndarray, "k"]:
         """Index of the last point of each piece."""
-        last = np.full(len(self.first), len(self.number) - 1)
-        np.subtract(self.first[1:], 1, out=last[:-1])
-        return last
+        return np.flatnonzero(np.diff(self.number, append=-1))
 
     @cached_property
     def before(self) -> Int64[np.ndarray, "n"]:
@@ -48,10 +44,8 @@ class Pieces:
     @cached_property
     def beside(self) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
         """The point after each and the one before, in its piece; at an end the point itself."""
-        count = len(self.number)
-        ahead, behind = np.arange(1, count + 1), np.arange(-1, count - 1)
-        ahead[self.last], behind[self.first] = self.last, self.first
-        return ahead, behind
+        here = np.arange(len(self.number))
+        return np.minimum(here + 1, self.last[self.number]), np.maximum(here - 1, self.first[self.number])
 
     @cached_property
     def continued(self) -> "Continued":
@@ -75,18 +69,13 @@ class Pieces:
         return some, Pieces(self.number[some])
 
     def every(self, stride: int) -> Int64[np.ndarray, "m"]:
-        """Every so many points of each piece, a power of two, and its last one."""
-        # the remainder of a power of two is its lower bits; divisions take ten times as long
-        return (((self.before & (stride - 1)) == 0) | (self.after == 0)).nonzero()[0]
+        """Every so many points of each piece, and its last one."""
+        return np.flatnonzero((self.before % stride == 0) | (self.after == 0))
 
 
 def numbered(piece: Int64[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
     """The numbers of pieces without gaps."""
-    # sums of truth values take four times as long
-    ends = np.concatenate(((piece[1:] != piece[:-1]).nonzero()[0] + 1, (len(piece),)))
-    count = ends.copy()
-    count[1:] -= ends[:-1]
-    return np.repeat(np.arange(len(ends)), count)
+    return np.cumsum(np.diff(piece, prepend=piece[:1]) != 0)
 
 
 @dataclass(frozen=True)
@@ -102,19 +91,6 @@ class Continued:
     inside: Int64[np.ndarray, "n"]
     beyond: Int64[np.ndarray, "b"]
     end: Int64[np.ndarray, "b"]
-
-
-def medians(values: Float64[np.ndarray, "n *k"]) -> Float64[np.ndarray, "*k"]:
-    """Over the first axis, of at least one value each: NumPy's own takes several times as long for a thousand."""
-    half, odd = divmod(len(values), 2)
-    # for two places NumPy takes a third of the time that it takes for one
-    ordered = np.partition(values, (half - 1, half), axis=0)
-    return ordered[half] if odd else 0.5 * (ordered[half - 1] + ordered[half])
-
-
-def median(values: Float64[np.ndarray, "n"]) -> float:
-    """Of at least one value."""
-    return float(medians(values))
 
 
 @lru_cache(KERNELS_KEPT)

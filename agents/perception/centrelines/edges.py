@@ -1,12 +1,7 @@
 """The thread's two edges in the image itself, for masks that say which pixels are thread but not how much of each.
 
-Shading and glints make the brightness across a round thread lopsided, and a shadow lies beside it, so neither centroids
-nor edges of brightness are of use. What each profile shows is therefore taken to be a mixture c = a t + b g of the
-thread's own colour t thereabouts and the ground's g on that side. Light and shadow change a and b alike, so that the
-share a / (a + b) of thread hardly depends on them where thread and ground differ in colour. Where they do not, a and b
-cannot be told apart by colour, and then they sum to 1:
-
-    min over a, b of ‖c − a t − b g‖² / COLOUR_NOISE² + (a + b − 1)² / LIGHT².
+Neither centroids nor edges of brightness are of use for a round thread in light from beside, but the share of thread in
+each place by its colour is (`mixture`), with the ground's colour on that side.
 
 An edge is the centre of squared gradients of the right sign of that share, near the mask's border.
 """
@@ -14,12 +9,11 @@ An edge is the centre of squared gradients of the right sign of that share, near
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Float32, Float64
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian
+from agents.perception.centrelines.along import Pieces
+from agents.perception.centrelines.mixture import mean_colour, share_of_mixture
 
-COLOUR_NOISE, LIGHT = 5.0, 0.15
-"""Standard deviations of a colour, in grey levels, and of how bright thread and ground are."""
 GAP_PX = 2.0
 """The ground is what lies farther than that from the mask."""
 ALONG = 2.0
@@ -30,7 +24,6 @@ REACH_PX = 3.5
 ROUNDS = 3
 WEAK = 1e-4
 """Of a square of shares; an edge of less stays where the mask puts it."""
-LEAST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -60,8 +53,7 @@ def find_edges(
 def _gradient(share: Float32[np.ndarray, "t n"]) -> Float32[np.ndarray, "t n"]:
     """By the places on either side; at the ends, where no edge is looked for, it is 0."""
     gradient = np.zeros_like(share)
-    np.subtract(share[2:], share[:-2], out=gradient[1:-1])
-    gradient *= np.float32(0.5)
+    gradient[1:-1] = np.float32(0.5) * (share[2:] - share[:-2])
     return gradient
 
 
@@ -72,52 +64,10 @@ def share_of_thread(
     half = np.maximum(1.0, width_px) / 2
     place = at[:, None]
     places = np.abs(place) <= half / 2 + 0.25, place < -half - GAP_PX, place > half + GAP_PX
-    thread, near, far = _colours(seen, places, pieces)
+    thread, near, far = (mean_colour(seen, each, pieces, ALONG).astype(np.float64) for each in places)
     middle = int(np.searchsorted(at, 0.0))
     sides = (seen[:, :middle], near), (seen[:, middle:], far)
-    return np.concatenate([_share(part, thread, ground) for part, ground in sides])
-
-
-def _colours(
-    seen: Float32[np.ndarray, "3 t n"], where: tuple[Bool[np.ndarray, "t n"], ...], pieces: Pieces
-) -> Float64[np.ndarray, "k 3 n"]:
-    """The mean colours at some places of the profiles hereabouts."""
-    parts = [part for places in where for part in (*_totals(seen, places), places.sum(axis=0, dtype=np.float32))]
-    both = blurred(np.stack(parts), pieces, gaussian(ALONG)).astype(np.float64).reshape(len(where), 4, -1)
-    return both[:, :3] / np.maximum(both[:, 3:], LEAST)
-
-
-def _totals(seen: Float32[np.ndarray, "3 t n"], places: Bool[np.ndarray, "t n"]) -> Float32[np.ndarray, "3 n"]:
-    """The sums of the colours at some places; rows that have none of them are left out."""
-    rows = np.flatnonzero(places.any(axis=1))
-    some = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
-    return (seen[:, some] * places[some]).sum(axis=1)
-
-
-def _share(
-    seen: Float32[np.ndarray, "3 t n"], thread: Float64[np.ndarray, "3 n"], ground: Float64[np.ndarray, "3 n"]
-) -> Float32[np.ndarray, "t n"]:
-    """The share of thread in mixtures of it with the ground: a and b are linear in the colour that is seen."""
-    even, t, g = 1 / LIGHT**2, thread / COLOUR_NOISE, ground / COLOUR_NOISE
-    tt, gg, tg = ((one * other).sum(axis=0) + even for one, other in ((t, t), (g, g), (t, g)))
-    # without the ones, colours that are the same would have no solution
-    tt, gg = tt + 1, gg + 1
-    scale = 1 / (tt * gg - tg**2)
-    of_thread = _positive(seen, t * (gg * scale) - g * (tg * scale), even * (gg - tg) * scale)
-    of_ground = _positive(seen, g * (tt * scale) - t * (tg * scale), even * (tt - tg) * scale)
-    return of_thread / np.maximum(of_thread + of_ground, np.float32(LEAST))
-
-
-def _positive(
-    seen: Float32[np.ndarray, "3 t n"], weight: Float64[np.ndarray, "3 n"], level: Float64[np.ndarray, "n"]
-) -> Float32[np.ndarray, "t n"]:
-    """What is above 0 of a weighted sum of the channels."""
-    of_channel = (weight / COLOUR_NOISE).astype(np.float32)
-    total = seen[0] * of_channel[0]
-    total += level.astype(np.float32)
-    for channel, share in zip(seen[1:], of_channel[1:], strict=True):
-        total += channel * share
-    return np.maximum(total, np.float32(0), out=total)
+    return np.concatenate([share_of_mixture(part, thread, ground) for part, ground in sides])
 
 
 def _settled(

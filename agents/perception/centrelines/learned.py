@@ -15,9 +15,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian, median, smoothed
+from agents.perception.centrelines.along import Pieces, gaussian, smoothed
+from agents.perception.centrelines.mixture import mean_colour, mixture_weights, weighted
 from agents.perception.centrelines.profiles import by_channel, sample
 
 WEIGHTS = Path(__file__).with_name("learned.npz")
@@ -123,13 +124,9 @@ WIDTH_ALONG_PX = 8.0
 LEAST_WIDTH, MOST_WIDTH = 0.6, 1.5
 """Of the whole thread's: what is narrower or wider was misjudged."""
 NARROWEST_PX, WIDEST_PX = 1.0, 40.0
-COLOUR_NOISE, LIGHT = 5.0, 0.15
-"""As for edges: deviations of a colour, in grey levels, and of how bright thread and ground are."""
-CHANNELS, NUMBERS = 6, 9
 LEAST_SHARE, MOST_SHARE = -4.0, 4.0
 LEAST_CONTRAST = 8.0
 USUAL_WIDTH_PX, USUAL_CONTRAST, USUAL_LEVEL = 5.0, 30.0, 100.0
-LEAST = 1e-3
 
 
 def usual_width_px(
@@ -140,7 +137,7 @@ def usual_width_px(
     Args:
         apart_px: how far points lie from each other.
     """
-    typical = median(width_px)
+    typical = np.median(width_px)
     clipped = np.clip(width_px, LEAST_WIDTH * typical, MOST_WIDTH * typical)[:, None]
     return smoothed(clipped, pieces, gaussian(WIDTH_ALONG_PX / apart_px))[:, 0].clip(NARROWEST_PX, WIDEST_PX)
 
@@ -170,9 +167,9 @@ def has_plain_ground(
     some, width = colour[:, ::PLAIN_STRIDE], width_px[::PLAIN_STRIDE]
     ground = some[np.abs(places)[:, None] * reach_px(width) > width / 2 + GROUND_FROM_PX]
     channels = np.ascontiguousarray(ground.T)
-    usual = np.array([median(channel) for channel in channels])
+    usual = np.array([np.median(channel) for channel in channels])
     away = np.abs(channels - usual[:, None])
-    return median(away.mean(axis=0)) < PLAIN
+    return float(np.median(away.mean(axis=0))) < PLAIN
 
 
 def straightened(
@@ -185,23 +182,18 @@ def straightened(
     """
     width, channels = width_px.astype(np.float32), by_channel(colour)
     off = np.abs(PLACES)[:, None] * (width + np.float32(BEYOND_PX))
-    ground = _mean(channels, off > width / 2 + GROUND_FROM_PX, pieces)
-    thread = _mean(channels, off < width * THREAD_SHARE + THREAD_PX, pieces)
+    ground = mean_colour(channels, off > width / 2 + GROUND_FROM_PX, pieces, ALONG)
+    thread = mean_colour(channels, off < width * THREAD_SHARE + THREAD_PX, pieces, ALONG)
     contrast = np.sqrt(np.square(thread - ground).mean(axis=0)) + LEAST_CONTRAST
-    t, n = colour.shape[:2]
-    seen = np.empty((CHANNELS * t + NUMBERS, n), np.float32)
-    places = seen[: CHANNELS * t].reshape(t, CHANNELS, n).swapaxes(0, 1)
-    for place, channel, of_ground in zip(places, channels, ground, strict=False):
-        np.subtract(channel, of_ground, out=place)
-        np.multiply(place, 1 / contrast, out=place)
-    for place, (weight, offset) in zip(places[3:], _mixing(thread, ground), strict=True):
-        np.add(weight[0] * channels[0], offset, out=place)
-        for share, channel in zip(weight[1:], channels[1:], strict=True):
-            np.add(place, share * channel, out=place)
-    np.clip(seen[: CHANNELS * t], LEAST_SHARE, MOST_SHARE, out=seen[: CHANNELS * t])
+    colours = [(channel - of_ground) * (1 / contrast) for channel, of_ground in zip(channels, ground, strict=True)]
+    brightness = 1 / (ground.sum(axis=0) + 3 * LEAST_CONTRAST)
+    against_ground = np.stack((brightness, brightness, brightness, np.full_like(brightness, -1)))
+    mixtures = [weighted(channels, weights) for weights in (against_ground, *mixture_weights(thread, ground))]
+    places = np.stack((*colours, *mixtures), axis=1).clip(LEAST_SHARE, MOST_SHARE)
     of_ground = ground.mean(axis=0)
-    seen[CHANNELS * t :] = np.concatenate(
+    seen = np.concatenate(
         (
+            places.reshape(-1, len(width)),
             np.log(width / USUAL_WIDTH_PX)[None],
             np.log(contrast / USUAL_CONTRAST)[None],
             (thread - ground) / contrast,
@@ -210,36 +202,3 @@ def straightened(
         )
     )
     return seen.T
-
-
-def _mixing(
-    thread: Float32[np.ndarray, "3 n"], ground: Float32[np.ndarray, "3 n"]
-) -> list[tuple[Float32[np.ndarray, "3 n"], Float32[np.ndarray, "n"]]]:
-    """Weights of a colour's channels, and what is added: for the brightness, and for the share of either colour.
-
-    The shares of both colours are those that explain the colour best where both, in an even light, sum to one: as for
-    edges.
-    """
-    even, t, g = np.float32(1 / LIGHT**2), thread / COLOUR_NOISE, ground / COLOUR_NOISE
-    tt, gg, tg = ((one * other).sum(axis=0) + even for one, other in ((t, t), (g, g), (t, g)))
-    tt, gg = tt + 1, gg + 1
-    scale = 1 / (tt * gg - tg**2)
-    brightness = 1 / (ground.sum(axis=0) + 3 * LEAST_CONTRAST)
-    return [
-        (np.stack((brightness,) * 3), np.full_like(scale, -1)),
-        ((t * gg - g * tg) * (scale / COLOUR_NOISE), even * (gg - tg) * scale),
-        ((g * tt - t * tg) * (scale / COLOUR_NOISE), even * (tt - tg) * scale),
-    ]
-
-
-def _mean(
-    channels: Float32[np.ndarray, "3 t n"], where: Bool[np.ndarray, "t n"], pieces: Pieces
-) -> Float32[np.ndarray, "3 n"]:
-    """The mean colour of some places of the profiles hereabouts."""
-    rows = np.flatnonzero(where.any(axis=1))
-    some = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
-    total = np.empty((4, where.shape[1]), np.float32)
-    (channels[:, some] * where[some]).sum(axis=1, out=total[:3])
-    where[some].sum(axis=0, dtype=np.float32, out=total[3])
-    both = blurred(total, pieces, gaussian(ALONG))
-    return both[:3] / np.maximum(both[3], np.float32(LEAST))

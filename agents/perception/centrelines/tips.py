@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces, median, medians
+from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.profiles import seen_around
 from schemas.messages import Centrelines
 
@@ -85,7 +85,7 @@ def _loose_ends(
         return None
     piece = pieces.number[ends]
     length = (pieces.last - pieces.first)[piece]
-    widths = {p: median(lines.width_px[first[p] : last[p] + 1]) for p in set(piece.tolist())}
+    widths = {p: np.median(lines.width_px[first[p] : last[p] + 1]) for p in set(piece.tolist())}
     width = np.array([widths[p] for p in piece.tolist()])
     # the slope of a line through the end, by which no single point decides
     steps = np.arange(round(DIRECTION_WIDTHS * float(width.max())) + 3)
@@ -108,9 +108,9 @@ def _shifts(lines: Centrelines, image: UInt8[np.ndarray, "h w 3"], loose: _Ends)
     places = np.arange(-wide, reach + wide, 1.0)
     sides = seen_around(image, point, outward, places[None], np.hstack((beside, -beside)))
     sides = sides.reshape(len(ends), -1, 3)
-    ground = medians(sides.swapaxes(0, 1))
-    spread = np.linalg.norm(medians(np.abs(sides - ground[:, None]).swapaxes(0, 1)), axis=1)
-    body = medians(seen[:, along < -reach].reshape(len(ends), -1, 3).swapaxes(0, 1))
+    ground = np.median(sides, axis=1)
+    spread = np.linalg.norm(np.median(np.abs(sides - ground[:, None]), axis=1), axis=1)
+    body = np.median(seen[:, along < -reach].reshape(len(ends), -1, 3), axis=1)
     contrast = np.linalg.norm(body - ground, axis=1)
     share = ((seen.mean(axis=2) - ground[:, None]) * (body - ground)[:, None]).sum(axis=2)
     share /= np.maximum(contrast, 1e-9)[:, None] ** 2

@@ -5,8 +5,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
 from agents.perception.centrelines.along import STRIDE, Pieces, blurred, gaussian, numbered
-from agents.perception.centrelines.edges import COLOUR_NOISE, LIGHT
-from agents.perception.centrelines.profiles import sample
+from agents.perception.centrelines.mixture import share_of_mixture
+from agents.perception.centrelines.profiles import by_channel, sample
 from schemas.messages import Centrelines
 
 EVERY = 4
@@ -59,46 +59,8 @@ def colours_across(
 
 
 def share_of_thread(seen: UInt8[np.ndarray, "t m 3"], colours: Colours) -> Float32[np.ndarray, "t m"]:
-    """How much of each place is thread, 0 to 1: the lesser of what the ground on either side would have it be.
-
-    Mixtures of both colours, as for edges: light and shadow change thread and ground alike.
-    """
-    channels = [channel.astype(np.float32) for channel in cv2.split(seen)]
-    known = np.ascontiguousarray(colours.transpose(1, 2, 0), np.float64)
-    near, far = zip(*_mixing(known[0], known[1:]), strict=True)
-    return np.minimum(_share(channels, near), _share(channels, far))
-
-
-def _mixing(
-    thread: Float64[np.ndarray, "3 m"], ground: Float64[np.ndarray, "2 3 m"]
-) -> tuple[Float32[np.ndarray, "2 4 m"], Float32[np.ndarray, "2 4 m"]]:
-    """Weights of the channels, and what is added to them, of how much is thread and how much is ground."""
-    even, t, g = 1 / LIGHT**2, thread / COLOUR_NOISE, ground / COLOUR_NOISE
-    tt, gg, tg = (t * t).sum(axis=0) + even, (g * g).sum(axis=1) + even, (t * g).sum(axis=1) + even
-    tt, gg = tt + 1, gg + 1
-    scale = 1 / (tt * gg - tg**2)
-    weights = np.empty((2, *ground.shape[:1], 4, ground.shape[2]), np.float32)
-    weights[0, :, :3] = (t * gg[:, None] - g * tg[:, None]) * scale[:, None] / COLOUR_NOISE
-    weights[1, :, :3] = (g * tt - t * tg[:, None]) * scale[:, None] / COLOUR_NOISE
-    weights[0, :, 3] = even * (gg - tg) * scale
-    weights[1, :, 3] = even * (tt - tg) * scale
-    return weights[0], weights[1]
-
-
-def _share(
-    channels: list[Float32[np.ndarray, "t m"]], mixing: tuple[Float32[np.ndarray, "4 m"], ...]
-) -> Float32[np.ndarray, "t m"]:
-    of_thread, total = (_weighted(channels, weights) for weights in mixing)
-    total += of_thread
-    of_thread /= np.maximum(total, np.float32(1e-6), out=total)
-    return of_thread
-
-
-def _weighted(
-    channels: list[Float32[np.ndarray, "t m"]], weights: Float32[np.ndarray, "4 m"]
-) -> Float32[np.ndarray, "t m"]:
-    total = channels[0] * weights[0]
-    total += weights[3]
-    for channel, weight in zip(channels[1:], weights[1:3], strict=True):
-        total += channel * weight
-    return np.maximum(total, np.float32(0), out=total)
+    """How much of each place is thread, 0 to 1: the lesser of what the ground on either side would have it be."""
+    channels = by_channel(seen.astype(np.float32))
+    thread, *grounds = np.ascontiguousarray(colours.transpose(1, 2, 0), np.float64)
+    near, far = (share_of_mixture(channels, thread, ground) for ground in grounds)
+    return np.minimum(near, far)

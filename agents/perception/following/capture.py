@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian, medians, smoothed
-from agents.perception.centrelines.edges import COLOUR_NOISE, LIGHT
+from agents.perception.centrelines.along import Pieces, blurred, gaussian, smoothed
+from agents.perception.centrelines.mixture import COLOUR_NOISE, LIGHT
 from agents.perception.centrelines.profiles import sample
 from agents.perception.following.appearance import Colours, share_of_thread
 
@@ -80,7 +80,7 @@ def captured(
     best = np.argmax(score, axis=0)
     here = np.arange(len(point))
     move = places[best] + _between(score, best, here)
-    usual = medians(move[_beside(pieces)])
+    usual = np.median(move[_beside(pieces)], axis=0)
     astray = np.abs(move - usual) > ASTRAY_PX
     calm = smoothed(np.where(astray, usual, move)[:, None], pieces, gaussian(CALM))[:, 0]
     return Captured(calm, inner[best, here], astray | (np.abs(move) >= BAND_PX), bare)

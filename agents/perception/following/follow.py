@@ -16,11 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import STRIDE, Pieces, directions, gaussian, median
-from agents.perception.centrelines.deviation import deviations, of_edges
+from agents.perception.centrelines.along import STRIDE, Pieces, directions, gaussian
 from agents.perception.centrelines.learned import usual_width_px
 from agents.perception.centrelines.profiles import normals
-from agents.perception.centrelines.refine import Curves, Evidence, by_edges, by_learning, tangent_sigma
+from agents.perception.centrelines.refine import (
+    Curves,
+    Evidence,
+    by_edges,
+    by_learning,
+    deviation_by_edges,
+    tangent_sigma,
+)
 from agents.perception.centrelines.tips import to_tips
 from agents.perception.following import capture
 from agents.perception.following.appearance import EVERY, Colours, colours_across, pieces_of, some_of, some_of_observed
@@ -122,7 +128,7 @@ def trail_of(
     some = some_of(pieces)
     if len(some) == 0:
         return Trail(loose_start, loose_end, np.zeros(0), np.zeros((0, 3, 3), np.uint8), loose_start, loose_end)
-    width, point, sampled = median(lines.width_px), lines.point_px[some], Pieces(pieces.number[some])
+    width, point, sampled = float(np.median(lines.width_px)), lines.point_px[some], Pieces(pieces.number[some])
     tangent = _tangents(point, sampled, width)
     colours = _colours(image, point, lines.width_px[some], sampled, tangent)
     tips, outward = _tips(sampled, tangent)
@@ -188,7 +194,7 @@ def follow(images: Sequence[UInt8[np.ndarray, "h w 3"]], where: Sequence[Expecte
 def _strips(where: Sequence[Expected], eyes: Eyes) -> _Strips:
     lines, eye = stacked_lines([each.lines for each in where], eyes)
     pieces = Pieces(lines.piece)
-    some, width = some_of_observed(pieces), median(lines.width_px)
+    some, width = some_of_observed(pieces), float(np.median(lines.width_px))
     sampled = Pieces(pieces.number[some])
     return _Strips(
         lines.point_px,
@@ -314,17 +320,15 @@ def _refined(
     told: Bool[np.ndarray, "e"],
 ) -> Centrelines | str:
     """The curves in the middle of the thread, out to the tips that the image shows."""
-    nothing = np.zeros(len(width_px))
-    mask = Evidence(width_px, nothing, nothing > 0)
+    mask = Evidence(width_px, np.zeros(len(width_px), bool))
     curves, seen = by_edges(curves, mask, image, width + 1.5)
     alike = (seen.width_px > LEAST_WIDTH * width_px) & (seen.width_px < MOST_WIDTH * width_px)
     if alike.mean() < WIDTH_SHARE:
         return f"{1 - alike.mean():.0%} of the thread is of another width"
     if (learned := by_learning(curves, seen, image, width + 1.5)) is None:
-        at_sight = of_edges(curves, seen)
+        deviation = deviation_by_edges(curves, seen)
     else:
-        curves, seen, at_sight = learned
-    deviation = deviations(curves, seen, at_sight)
+        curves, deviation = learned
     lines = StackedLines(eyes.clipped(curves.point), curves.pieces.number, seen.width_px, deviation)
     return to_tips(lines, image, *np.split(told, 2))
 

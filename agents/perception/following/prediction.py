@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 
-from agents.perception.centrelines.along import STRIDE, Pieces, directions, evenly_spaced, gaussian, median, medians
+from agents.perception.centrelines.along import STRIDE, Pieces, directions, evenly_spaced, gaussian
 from agents.perception.centrelines.profiles import normals
 from agents.perception.following.appearance import EVERY, Colours, pieces_of, some_of_observed
 from agents.perception.following.capture import BAND_PX
@@ -81,7 +81,7 @@ class _Observed:
     @property
     def width(self) -> float:
         """Of the thread in general."""
-        return median(self.lines.width_px)
+        return float(np.median(self.lines.width_px))
 
 
 def expected(
@@ -224,7 +224,7 @@ def _calm_move(
     normal = normals(tangent)
     across = ((target - place) * normal).sum(axis=1)[anchored]
     beside = (np.arange(len(across)) + np.arange(CALM)[:, None] - CALM // 2).clip(0, len(across) - 1)
-    calm = medians(across[beside])
+    calm = np.median(across[beside], axis=0)
     return np.interp(np.arange(len(place)), anchored, calm)[:, None] * normal
 
 

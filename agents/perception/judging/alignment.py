@@ -1,8 +1,8 @@
 """What follows from how the two images lie to each other: rows, rotation, magnification, which is left, distances."""
 
-from agents.perception.judging.answers import Answer, untold, well, wrong
+from agents.perception.judging.answers import Answer, judgements, untold, well, wrong
 from agents.perception.judging.correspondence import Correspondence
-from schemas.messages import RectifiedStereo, Severity
+from schemas.messages import Judgement, RectifiedStereo, Severity
 from shared.disparities import endoscope_disparity_px
 
 NO_DISPARITY_PX = 0.5
@@ -20,6 +20,29 @@ FEW_SHARE = 0.1
 ROWS, ROTATION, SIZES, SIDES, DISTANCE = "rows", "rotation", "sizes of both eyes", "left and right", "distance"
 NO_TEXTURE = "there is too little in common to compare, such as texture"
 RECALIBRATE = "use the calibration taken with this camera and focus, or calibrate again; check any cropping"
+
+
+def judge(seen: Correspondence, shape: tuple[int, ...], camera: RectifiedStereo | None = None) -> tuple[Judgement, ...]:
+    """What is wrong with how a pair of images of that shape lies, each with its remedy; see `about_alignment`."""
+    return judgements(about_alignment(seen, shape, camera))
+
+
+def about_alignment(
+    seen: Correspondence, shape: tuple[int, ...], camera: RectifiedStereo | None = None
+) -> list[Answer]:
+    """Every question about how two images lie to each other.
+
+    Args:
+        camera: of the rectified pair, by which distances are told; None leaves them out.
+    """
+    height, width = shape[:2]
+    return [
+        about_rows(seen, height),
+        about_rotation(seen, height, width),
+        about_sizes(seen, height),
+        about_sides(seen),
+        *([] if camera is None else [about_distance(seen, camera)]),
+    ]
 
 
 def about_rows(seen: Correspondence, height: int) -> Answer:

@@ -82,43 +82,37 @@ class Correspondence:
 UNKNOWN = Correspondence(None, None)
 
 
-@dataclass(frozen=True)
-class Texture:
-    """What the ground of a pair tells: how the images lie to each other, and how many features there were."""
-
-    seen: Correspondence | None
-    features: int
+def correspondence_of(
+    left: UInt8[np.ndarray, "h w *c"],
+    right: UInt8[np.ndarray, "h w *c"],
+    thread_left: Bool[np.ndarray, "h w"],
+    thread_right: Bool[np.ndarray, "h w"],
+) -> Correspondence:
+    """From the ground, and on one that shows nothing from the thread alone."""
+    return correspondence_of_texture(left, right, thread_left, thread_right) or correspondence_of_masks(
+        thread_left, thread_right
+    )
 
 
 def correspondence_of_texture(
     left: UInt8[np.ndarray, "h w *c"],
     right: UInt8[np.ndarray, "h w *c"],
-    segmented_left: Bool[np.ndarray, "h w"] | None = None,
-    segmented_right: Bool[np.ndarray, "h w"] | None = None,
+    thread_left: Bool[np.ndarray, "h w"] | None = None,
+    thread_right: Bool[np.ndarray, "h w"] | None = None,
 ) -> Correspondence | None:
     """From matched features of the ground, without the thread where it is known; None where too few agree."""
-    return texture_of(grey(left), grey(right), segmented_left, segmented_right).seen
-
-
-def texture_of(
-    left: UInt8[np.ndarray, "h w"],
-    right: UInt8[np.ndarray, "h w"],
-    segmented_left: Bool[np.ndarray, "h w"] | None = None,
-    segmented_right: Bool[np.ndarray, "h w"] | None = None,
-) -> Texture:
-    """The same of grey images, and how many features there were to compare."""
-    matched = matched_features(left, right, segmented_left, segmented_right)
+    left, right = grey(left), grey(right)
+    matched = matched_features(left, right, thread_left, thread_right)
     if len(matched) < LEAST_MATCHES:
-        return Texture(None, matched.features)
+        return None
     if found := _of_matches(left, right, matched):
-        return Texture(found, matched.features)
+        return found
     # a mirrored image has the same features, each of them mirrored, which nothing matches
-    other, covered = cv2.flip(right, 1), None if segmented_right is None else segmented_right[:, ::-1]
-    found = _of_matches(left, other, matched_features(left, other, segmented_left, covered))
+    other, covered = cv2.flip(right, 1), None if thread_right is None else thread_right[:, ::-1]
+    found = _of_matches(left, other, matched_features(left, other, thread_left, covered))
     if found is None:
-        return Texture(None, matched.features)
-    mirrored = Correspondence(None, None, rotation_deg=found.rotation_deg, mirrored=True, matches=found.matches)
-    return Texture(mirrored, matched.features)
+        return None
+    return Correspondence(None, None, rotation_deg=found.rotation_deg, mirrored=True, matches=found.matches)
 
 
 def _of_matches(left: np.ndarray, right: np.ndarray, matched: Matched) -> Correspondence | None:
@@ -220,3 +214,41 @@ def _turned_deg(plane: Plane) -> float:
 
 def _magnification(plane: Plane) -> float:
     return float(np.hypot(plane[1], 1.0 + plane[2]))
+
+
+ROW_SEARCH_SHARE = 0.04
+"""How far rows are searched for each other, as a share of the image's height."""
+LEAST_AGREEMENT, CLEARLY_BETTER = 0.4, 1.05
+"""Of the row profiles of two masks: to say anything at all, and to say that another shift fits better than none.
+Clean pairs stay below 1.01 and pairs that are 4 px apart lie above 1.06, unless the thread fills its rows evenly."""
+
+
+def correspondence_of_masks(
+    thread_left: Bool[np.ndarray, "h w"], thread_right: Bool[np.ndarray, "h w"]
+) -> Correspondence:
+    """From the thread alone: the shift of rows at which both masks fill rows alike, then the columns of those rows."""
+    count_left, count_right = thread_left.sum(axis=1), thread_right.sum(axis=1)
+    if not count_left.any() or not count_right.any():
+        return UNKNOWN
+    reach = max(2, round(ROW_SEARCH_SHARE * len(count_left)))
+    shift = _row_shift(count_left, count_right, reach)
+    columns = np.arange(thread_left.shape[1])
+    both = (count_left > 0) & (count_right > 0)
+    if not both.any():
+        return Correspondence(shift, None)
+    mean_left = (thread_left[both] @ columns) / count_left[both]
+    mean_right = (thread_right[both] @ columns) / count_right[both]
+    return Correspondence(shift, float(np.median(mean_left - mean_right)))
+
+
+def _row_shift(count_left: np.ndarray, count_right: np.ndarray, reach: int) -> float | None:
+    """The shift of rows at which both profiles agree best, 0 unless another is clearly better; None if none agrees."""
+    shifts = np.arange(-reach, reach + 1)
+    padded = np.pad(count_right, reach)
+    shifted = np.array([padded[reach - shift : reach - shift + len(count_left)] for shift in shifts])
+    agreement = np.minimum(count_left, shifted).sum(axis=1) / np.maximum(count_left, shifted).sum(axis=1)
+    if agreement.max() < LEAST_AGREEMENT:
+        return None
+    if agreement.max() < CLEARLY_BETTER * agreement[reach]:
+        return 0.0
+    return float(np.median(shifts[agreement == agreement.max()]))

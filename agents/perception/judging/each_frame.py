@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.perception.judging.answers import judgements
-from agents.perception.judging.picture import about_exposure, exposures
+from agents.perception.judging.picture import about_exposure
 from schemas.messages import Judgement, Severity, StereoFrame, ThreadObservations
 
 STILL_FRAMES, ONE_STILL_FRAMES = 30, 15
@@ -66,7 +66,7 @@ def one_eye_stands_still(seen: Pictured) -> str:
 
 def judge_each(seen: Pictured, images: Pair) -> tuple[Judgement, ...]:
     """What is wrong with the pictures of a frame."""
-    exposed = judgements([about_exposure(*exposures(*images))])
+    exposed = judgements([about_exposure(*images)])
     since = max(seen.left_since, seen.right_since)
     if seen.sequence - since < STILL_FRAMES:
         return exposed

@@ -5,23 +5,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from agents.perception.judging.alignment import (
-    DISTANCE,
-    ROTATION,
-    ROWS,
-    SIDES,
-    SIZES,
-    about_distance,
-    about_rotation,
-    about_rows,
-    about_sides,
-    about_sizes,
-)
+from agents.perception.judging.alignment import DISTANCE, ROTATION, ROWS, SIDES, SIZES, about_alignment, about_sides
 from agents.perception.judging.answers import Answer, wrong
-from agents.perception.judging.correspondence import UNKNOWN, Correspondence, texture_of
-from agents.perception.judging.features import grey
-from agents.perception.judging.masks import correspondence_of_masks
-from agents.perception.judging.picture import about_exposure, about_interlacing, about_sharpness, exposures
+from agents.perception.judging.correspondence import UNKNOWN, correspondence_of_masks, correspondence_of_texture
+from agents.perception.judging.features import grey, matched_features
+from agents.perception.judging.picture import about_exposure, about_interlacing, about_sharpness
 from schemas.messages import RectifiedStereo, Severity
 
 MANY_FEATURES = 300
@@ -45,31 +33,19 @@ def about_pair(
     """
     left, right = (grey(image) for image in rectified)
     raw_left, raw_right = (left, right) if raw is None else (grey(raw[0]), grey(raw[1]))
-    texture = texture_of(left, right, *(thread or (None, None)))
-    seen = texture.seen or (correspondence_of_masks(*thread) if thread else UNKNOWN)
-    alignment = about_alignment(seen, camera, 0 if texture.seen else texture.features)
+    covered = thread or (None, None)
+    texture = correspondence_of_texture(left, right, *covered)
+    seen = texture or (correspondence_of_masks(*thread) if thread else UNKNOWN)
+    alignment = about_alignment(seen, left.shape, camera)
+    if texture is None and (features := matched_features(left, right, *covered).features) > MANY_FEATURES:
+        finding = f"of {features} distinct places in one image, the other shows hardly any"
+        remedy = "give both eyes of one frame, synchronised; turn and crop both alike; and use their calibration"
+        alignment[0] = wrong(ROWS, "nothing_corresponds", Severity.WARNING, finding, remedy)
     if np.array_equal(raw_left, raw_right):
         alignment = [about_sides(replace(UNKNOWN, disparity_px=0.0))]
     return [
         *alignment,
-        about_exposure(*exposures(*rectified)),
+        about_exposure(*rectified),
         about_sharpness(left, right),
         about_interlacing(raw_left, raw_right),
-    ]
-
-
-def about_alignment(seen: Correspondence, camera: RectifiedStereo, features: int = 0) -> list[Answer]:
-    """What follows from how the images lie to each other; `features` were found, and none of them corresponds."""
-    height, width = camera.image_height, camera.image_width
-    rows = about_rows(seen, height)
-    if features > MANY_FEATURES:
-        finding = f"of {features} distinct places in one image, the other shows hardly any"
-        remedy = "give both eyes of one frame, synchronised; turn and crop both alike; and use their calibration"
-        rows = wrong(ROWS, "nothing_corresponds", Severity.WARNING, finding, remedy)
-    return [
-        rows,
-        about_rotation(seen, height, width),
-        about_sizes(seen, height),
-        about_sides(seen),
-        about_distance(seen, camera),
     ]

@@ -195,8 +195,9 @@ TEETH, MORE_THAN_ALONG_ROWS = 0.09, 2.5
 """Of the steps along the columns, and as a multiple of those along the rows."""
 
 
-def about_exposure(left: Exposure, right: Exposure) -> Answer:
+def about_exposure(left_image: UInt8[np.ndarray, "h w *c"], right_image: UInt8[np.ndarray, "h w *c"]) -> Answer:
     """Whether both images are bright enough, not too bright, and alike."""
+    left, right = exposure(left_image), exposure(right_image)
     for eye, seen in (("left", left), ("right", right)):
         if answer := _one_exposure(eye, seen):
             return answer
@@ -273,8 +274,3 @@ def about_interlacing(left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "
     if smooth:
         return untold(INTERLACING, f"there are too few edges in the {' and the '.join(smooth)} image")
     return well(INTERLACING, "no combs; those of an interlaced image show only while something moves")
-
-
-def exposures(left: UInt8[np.ndarray, "h w *c"], right: UInt8[np.ndarray, "h w *c"]) -> tuple[Exposure, Exposure]:
-    """Of both images."""
-    return exposure(left), exposure(right)

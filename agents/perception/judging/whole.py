@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from agents.perception.judge import judge
+from agents.perception.judging.alignment import judge
 from agents.perception.judging.answers import judgements
-from agents.perception.judging.correspondence import texture_of
+from agents.perception.judging.correspondence import correspondence_of_texture
 from agents.perception.judging.features import grey
 from agents.perception.judging.picture import about_interlacing, about_sharpness
 from agents.perception.judging.right_eye import is_certain, left_over, out_of_line, put_in_line
@@ -53,7 +53,7 @@ def judge_whole(rectified: Pair, raw: Pair, camera: RectifiedStereo, before: Rig
     left, right = grey(rectified[0]), grey(rectified[1])
     sharpness = about_sharpness(left, right)
     pictures = judgements([sharpness, about_interlacing(_middle(grey(raw[0])), _middle(grey(raw[1])))])
-    seen = texture_of(left, right).seen
+    seen = correspondence_of_texture(left, right)
     shown = None
     if seen is not None and seen.farthest_px and seen.nearest_px:
         shown = shown_disparities(seen.farthest_px, seen.nearest_px, camera.image_width)

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.projection import Curve, chords
 from schemas.messages import Centrelines, Crossing, Over, RectifiedStereo, ThreadCandidate
 from shared.camera import project
@@ -67,14 +66,14 @@ def other_threads_px(lines: Centrelines, curve_px: cKDTree) -> Float64[np.ndarra
     """The middle of each longer piece of centreline that does not lie on the projected curve."""
     if not len(lines.piece):
         return np.zeros((0, 2))
-    width, apart_px = median(lines.width_px), _apart_px(lines)
+    width, apart_px = np.median(lines.width_px), _apart_px(lines)
     bounds = np.concatenate(([0], np.flatnonzero(np.diff(lines.piece)) + 1, [len(lines.piece)]))
     found = [
         lines.point_px[first + (end - first) // 2]
         for first, end in pairwise(bounds)
         if (end - first) * apart_px >= SHORTEST_WIDTHS * width
         # a piece lies on the curve where most of some of its points do
-        and median(np.asarray(curve_px.query(lines.point_px[first:end:EVERY])[0])) > STRANGE_WIDTHS * width
+        and np.median(np.asarray(curve_px.query(lines.point_px[first:end:EVERY])[0])) > STRANGE_WIDTHS * width
     ]
     return np.array(found) if found else np.zeros((0, 2))
 
@@ -84,7 +83,7 @@ def other_threads(candidates: tuple[ThreadCandidate, ...], curve_px: cKDTree) ->
     found = [
         candidate
         for candidate in candidates
-        if median(np.asarray(curve_px.query(candidate.left_px)[0])) > STRANGE_WIDTHS * candidate.width_px
+        if np.median(np.asarray(curve_px.query(candidate.left_px)[0])) > STRANGE_WIDTHS * candidate.width_px
     ]
     return tuple(sorted(found, key=lambda candidate: -candidate.score))
 
@@ -95,20 +94,20 @@ def left_over(
     """How much of the centrelines lies on no thread, and the middle of each longer stretch; None without any."""
     if not len(lines.piece):
         return None, np.zeros((0, 2))
-    near = STRANGE_WIDTHS * median(lines.width_px)
+    near = STRANGE_WIDTHS * np.median(lines.width_px)
     away = np.asarray(curve_px.query(lines.point_px)[0]) > near
     for other in others:
         away[away] = np.asarray(cKDTree(other.left_px).query(lines.point_px[away])[0]) > near + CANDIDATE_PX
     starts = np.flatnonzero(np.diff(lines.piece, prepend=-1) | np.diff(away, prepend=False))
     runs = [run for run in np.split(np.arange(len(away)), starts) if len(run) and away[run[0]]]
-    shortest = SHORTEST_WIDTHS * median(lines.width_px) / _apart_px(lines)
+    shortest = SHORTEST_WIDTHS * np.median(lines.width_px) / _apart_px(lines)
     middles = [lines.point_px[run[len(run) // 2]] for run in runs if len(run) >= shortest]
     return float(away.mean()), np.array(middles).reshape(-1, 2)
 
 
 def _apart_px(lines: Centrelines) -> float:
     """How far neighbours lie apart, in the median."""
-    return median(chords(lines.point_px)) if len(lines.piece) > 1 else 1.0
+    return float(np.median(chords(lines.point_px))) if len(lines.piece) > 1 else 1.0
 
 
 def with_middles(

@@ -29,7 +29,6 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from agents.reconstruction.refined.association import GATE_SHARE, Associated, associated
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.normal_equations import (
     SIDE,
     Blocks,
@@ -268,7 +267,7 @@ def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:
     """The curve after the first step, which leads over the motion of a frame: beside it, every deviation is small."""
     last = prediction.last
     rows = linearised(curve, sight, prediction.camera, row_offset_of(last))
-    scale = max(1.4826 * median(np.abs(rows.residual[: rows.sightings])), LEAST_SCALE)
+    scale = max(1.4826 * float(np.median(np.abs(rows.residual[: rows.sightings]))), LEAST_SCALE)
     data = data_blocks(rows, np.full(len(rows.residual), scale**-2), curve.spans) + damping_blocks(curve)
     total = data + prediction.about(curve)
     total += roughness_blocks(curve, last.smoothing * last.span_weight * _shown(sight, curve))
@@ -349,7 +348,7 @@ def _require_fit(fit: Refined, innovation: float, camera: RectifiedStereo) -> No
         raise LostError(reason)
     if innovation > MOST_INNOVATION:
         raise LostError(f"the thread moved farther than it can: {innovation:.1f} predicted variances")
-    off_px = median(np.abs(fit.rows.residual[: fit.rows.sightings]) * fit.sight.deviation_px)
+    off_px = np.median(np.abs(fit.rows.residual[: fit.rows.sightings]) * fit.sight.deviation_px)
     if off_px > LARGEST_RESIDUAL_SHARE * camera.image_width:
         raise LostError(f"the curve that was followed is {off_px:.1f} px from the thread")
 

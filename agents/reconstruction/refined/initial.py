@@ -5,14 +5,13 @@ from jaxtyping import Float64
 from scipy.linalg import lapack
 
 from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.normal_equations import finite
 from agents.reconstruction.refined.paths import Chain
 from agents.reconstruction.refined.projection import (
     DEGREE,
     Curve,
     at_constant_speed,
-    basis_at,
+    design_matrix,
     even_places,
     fitted,
     kept,
@@ -45,10 +44,10 @@ def initial_curve(
     """
     length_px = float(left.along_px[-1])
     spans = _spans_for(length_px, camera)
-    shown = _basis(spans, left.along_px / length_px)
+    shown = design_matrix(spans, left.along_px / length_px)
     image = _smooth(shown, left.point_px, 1.0 / left.deviation_px**2, IMAGE_SMOOTHING)
-    disparity = _disparity(_basis(spans, aligned.along_px / length_px), aligned)
-    basis = _basis(spans, even_places(spans))
+    disparity = _disparity(design_matrix(spans, aligned.along_px / length_px), aligned)
+    basis = design_matrix(spans, even_places(spans))
     low, high = np.percentile(aligned.disparity_px, [2, 98])
     margin = max(2.0, EXTRAPOLATION * float(high - low))
     bounded = np.clip(basis @ disparity, max(LEAST_DISPARITY_PX, low - margin), high + margin)
@@ -83,16 +82,9 @@ def _disparity(basis: Float64[np.ndarray, "k m"], aligned: Alignment) -> Float64
     for _ in range(ROUNDS):
         found = _smooth(basis, aligned.disparity_px, weight * robust, DISPARITY_SMOOTHING)
         residual = np.abs(basis @ found - aligned.disparity_px) * np.sqrt(weight)
-        scale = max(1.4826 * median(residual), 0.3)
+        scale = max(1.4826 * np.median(residual), 0.3)
         robust = 1.0 / (1.0 + (residual / (ROBUST * scale)) ** 2)
     return found
-
-
-def _basis(spans: int, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n m"]:
-    first, values, _ = basis_at(spans, s)
-    matrix = np.zeros((len(s), spans + DEGREE))
-    matrix[np.arange(len(s))[:, None], first[:, None] + np.arange(DEGREE + 1)] = values
-    return matrix
 
 
 def _smooth(

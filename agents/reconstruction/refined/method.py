@@ -5,7 +5,7 @@
 3. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
 4. `initial`: a first curve from both.
 5. `refinement`: Gauss-Newton on its control points against both centrelines, smoothing chosen from the images.
-6. `constraints`: the reliability regions hold it, by a quadratic program.
+6. `regions`: which matches it contradicts.
 7. `posterior`: how well each place is known, and the confidence that follows.
 """
 
@@ -15,16 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from agents.reconstruction.minimum_variation import UnsolvedError
 from agents.reconstruction.paper import failed
 from agents.reconstruction.refined.alignment import Alignment, align
-from agents.reconstruction.refined.constraints import Held, held_to, regions_of
 from agents.reconstruction.refined.course import BothImages, LikeliestCourse, likeliest_course
 from agents.reconstruction.refined.initial import initial_curve, with_needed_spans
 from agents.reconstruction.refined.paths import Chain
 from agents.reconstruction.refined.plausibility import contradiction, implausible, unusable
 from agents.reconstruction.refined.projection import LEVEL, row_offsets_px
 from agents.reconstruction.refined.refinement import Refined, Start, refined
+from agents.reconstruction.refined.regions import matched_regions, slack_of
 from agents.reconstruction.refined.result import guessed_share, reconstruction, starts_right
 from agents.reconstruction.refined.sightings import (
     Sightings,
@@ -38,6 +37,7 @@ from agents.reconstruction.refined.sightings import (
 from schemas.messages import (
     GIVEN_MASKS,
     RectifiedStereo,
+    ReliabilityRegions,
     Status,
     ThreadCourse,
     ThreadObservations,
@@ -88,10 +88,10 @@ def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstructio
     try:
         need_evidence(observations)
         course, fit = course_and_fit(observations)
-        held = within_regions(fit, course, observations.camera)
-        reverse = starts_right(held.curve, observations)
+        regions = regions_along(fit, course, observations.camera)
+        reverse = starts_right(fit.curve, observations)
         told = told_course(course, fit, reverse)
-        return seen_enough(reconstruction(observations, METHOD, fit, held, reverse, told))
+        return seen_enough(reconstruction(observations, METHOD, fit, regions, reverse, told))
     except NoCurveError as error:
         return failed(observations, METHOD, str(error))
 
@@ -222,17 +222,13 @@ def told_course(course: Course, fit: Refined, reverse: bool) -> ThreadCourse:
     return ThreadCourse(joins[first], found.probability[first], along(found.other))
 
 
-def within_regions(fit: Refined, course: Course, camera: RectifiedStereo) -> Held:
-    """The fit, held to the reliability regions of its course.
-
-    Raises:
-        NoCurveError: where the solver cannot say.
-    """
-    regions, share = regions_of(course.left, course.aligned, camera)
+def regions_along(fit: Refined, course: Course, camera: RectifiedStereo) -> ReliabilityRegions:
+    """The reliability regions of a course, in order along its curve."""
+    regions, share = matched_regions(course.left, course.aligned, camera)
     pixels, _ = project(camera, regions.centre_camera)
     along = parameters_of_course(course.sight, fit.sight, share)
     s = placed(left_sightings(pixels, along), fit.curve, camera, fit.row_offset_px, rounds=2).s
-    try:
-        return held_to(regions, s, fit.curve, fit.total, camera)
-    except UnsolvedError as error:
-        raise NoCurveError(str(error)) from error
+    slack, order = slack_of(regions, s, fit.curve, camera), np.argsort(s, kind="stable")
+    return ReliabilityRegions(
+        s[order], regions.centre_camera[order], regions.bound_px[order], regions.bound_depth[order], slack[order]
+    )

@@ -80,9 +80,8 @@ def linearised(
     view = projected(curve, s, eye, camera, row_offset_px)
     first, basis, _ = basis_at(curve.spans, s)
     u, v = view.velocity_px.T
-    direction = np.stack((u, v))
-    np.negative(v[:count], out=direction[0, :count])
-    direction[1, :count] = u[:count]
+    # across the curve, and along it at the ends
+    direction = np.hstack(((-v[:count], u[:count]), (u[count:], v[count:])))
     # in deviations, as all that follows from it
     deviation = np.concatenate((sight.deviation_px, np.full(len(end), END_DEVIATION_PX)))
     direction /= np.maximum(np.sqrt(u * u + v * v), 1e-12) * deviation

@@ -3,7 +3,6 @@
 import numpy as np
 
 from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import Centrelines, RectifiedStereo, ThreadTrack
 
@@ -93,9 +92,9 @@ def implausible(fit: Refined, camera: RectifiedStereo) -> str:
     for name, eye in (("left", 0), ("right", 1)):
         here = across_px[fit.sight.eye == eye]
         limit = LARGEST_RESIDUAL_SHARE * camera.image_width
-        if len(here) and median(here) > limit:
+        if len(here) and np.median(here) > limit:
             return (
-                f"the two images contradict each other: the curve is {median(here):.1f} px from the thread in the "
+                f"the two images contradict each other: the curve is {np.median(here):.1f} px from the thread in the "
                 f"{name} image; check the calibration"
             )
     return ""

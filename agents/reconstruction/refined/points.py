@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.projection import chords
 from agents.reconstruction.refined.sightings import CORRELATED_PX
 from schemas.messages import Centrelines, RectifiedStereo
@@ -71,14 +70,14 @@ def chosen_points(lines: tuple[Centrelines, Centrelines], camera: RectifiedStere
         is_bound[index] & inside,
         lefts,
         (left.point_px, right.point_px),
-        median(left.width_px) if split else 0.0,
+        float(np.median(left.width_px)) if split else 0.0,
         raised,
     )
 
 
 def _raised(points: Float64[np.ndarray, "n 2"]) -> float:
     """The factor for points that lie so near to each other."""
-    spacing = max(1.0, median(chords(points))) if len(points) > 1 else 1.0
+    spacing = max(1.0, float(np.median(chords(points)))) if len(points) > 1 else 1.0
     return float(np.sqrt(max(1.0, CORRELATED_PX / spacing)))
 
 

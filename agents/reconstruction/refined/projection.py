@@ -52,18 +52,9 @@ def with_slopes(
 ) -> tuple[Float64[np.ndarray, "k n"], Float64[np.ndarray, "k n"]]:
     """Values of cubics and their derivatives by t, from their coefficients by power."""
     a, b, c, d = powers
-    # in place: fresh memory takes as long as the arithmetic
-    value = d * t
-    slope = value.copy()
-    value += c
-    slope += value
-    value *= t
-    value += b
-    slope *= t
-    slope += value
-    value *= t
-    value += a
-    return value, slope
+    linear = d * t + c
+    square = linear * t + b
+    return square * t + a, (d * t + linear) * t + square
 
 
 def span_of(spans: int, s: Float64[np.ndarray, "n"]) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
@@ -115,10 +106,10 @@ def fitted(spans: int, points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray
 
 @kept
 def _fit_matrix(spans: int) -> Float64[np.ndarray, "m n"]:
-    return np.linalg.pinv(_design(spans, even_places(spans)))
+    return np.linalg.pinv(design_matrix(spans, even_places(spans)))
 
 
-def _design(spans: int, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n m"]:
+def design_matrix(spans: int, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n m"]:
     """The basis functions at s, one in each column."""
     first, values, _ = basis_at(spans, s)
     basis = np.zeros((len(s), spans + DEGREE))
@@ -164,14 +155,7 @@ class Curve:
         """Points of the curve."""
         span, t = span_of(self.spans, s)
         a, b, c, d = self.polynomials.take(span, axis=2)
-        # in place: fresh memory takes as long as the arithmetic
-        point = d * t
-        point += c
-        point *= t
-        point += b
-        point *= t
-        point += a
-        return point.T
+        return (((d * t + c) * t + b) * t + a).T
 
     def evenly(self, per_span: int, derivative: int = 0) -> Float64[np.ndarray, "n 3"]:
         """Points of the curve at `even_parameters`, or first derivatives by s there, as one product of matrices."""
@@ -238,13 +222,8 @@ class View:
         u, v = direction
         if self.lean is not None:
             u, v = u + v * self.lean[0], v * (1.0 + self.lean[1])
-        derivative = np.empty((3, len(u)))
-        np.multiply(u, self.scale[0], out=derivative[0])
-        np.multiply(v, self.scale[1], out=derivative[1])
-        np.multiply(derivative[0], self.slope[0], out=derivative[2])
-        derivative[2] += derivative[1] * self.slope[1]
-        np.negative(derivative[2], out=derivative[2])
-        return derivative.T
+        by_x, by_y = u * self.scale[0], v * self.scale[1]
+        return np.stack((by_x, by_y, -(by_x * self.slope[0] + by_y * self.slope[1]))).T
 
 
 def projected(
@@ -285,12 +264,8 @@ def _seen(
 ) -> tuple[Float64[np.ndarray, "2 n"], Float64[np.ndarray, "2 n"]]:
     """Pixels, and slopes of the lines of sight."""
     x, y, z = point.T
-    slope = np.empty((2, len(z)))
-    np.subtract(x, eye * camera.baseline, out=slope[0])
-    slope[1] = y
-    slope /= z
-    pixel = np.array([[camera.fx_px], [camera.fy_px]]) * slope
-    pixel += ((camera.cx_px,), (camera.cy_px,))
+    slope = np.stack((x - eye * camera.baseline, y)) / z
+    pixel = np.array([[camera.fx_px], [camera.fy_px]]) * slope + ((camera.cx_px,), (camera.cy_px,))
     half = eye - 0.5
     pixel[1] += row_offset_px[0] * half
     if row_offset_px[1:].any():
@@ -307,9 +282,7 @@ def _view(
 ) -> View:
     pixel, slope = _seen(point, eye, camera, row_offset_px)
     scale = np.array([[camera.fx_px], [camera.fy_px]]) / point[:, 2]
-    velocity = slope * forward[:, 2]
-    np.subtract(forward[:, :2].T, velocity, out=velocity)
-    velocity *= scale
+    velocity = (forward[:, :2].T - slope * forward[:, 2]) * scale
     if not row_offset_px[1:].any():
         return View(pixel.T, velocity.T, scale, slope)
     _, by_x, by_y, by_both = row_offset_px

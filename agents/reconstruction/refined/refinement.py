@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.near_inverse import near_inverse
 from agents.reconstruction.refined.normal_equations import (
     Blocks,
@@ -150,7 +149,7 @@ def weighted(
 ) -> tuple[Rows, Float64[np.ndarray, "n"], float]:
     """Linearised residuals, what each has to say still, and the spread of them all."""
     rows = linearised(curve, sight, camera, row_offset_px)
-    scale = float(np.clip(1.4826 * median(np.abs(rows.residual[: rows.sightings])), LEAST_SCALE, MOST_SCALE))
+    scale = float(np.clip(1.4826 * np.median(np.abs(rows.residual[: rows.sightings])), LEAST_SCALE, MOST_SCALE))
     robust = 1.0 / (1.0 + (rows.residual / (ROBUST * scale)) ** 2)
     # what lies beyond an end of the curve has its nearest place there, and says nothing of it
     beyond = ((sight.s <= 0.0) | (sight.s >= 1.0)) & ~sight.is_end

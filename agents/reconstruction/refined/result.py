@@ -5,8 +5,7 @@ import scipy.special
 from jaxtyping import Bool, Float64
 from scipy.spatial import cKDTree
 
-from agents.reconstruction.confidence import assumed_unit
-from agents.reconstruction.refined.constraints import Held
+from agents.reconstruction.paper import assumed_unit
 from agents.reconstruction.refined.crossings import (
     crossings_of,
     left_over,
@@ -14,7 +13,6 @@ from agents.reconstruction.refined.crossings import (
     other_threads_px,
     with_middles,
 )
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.posterior import bent_covariance, point_covariance
 from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, chords, even_parameters, pixels_evenly
 from agents.reconstruction.refined.refinement import Refined
@@ -49,13 +47,13 @@ def reconstruction(
     observations: ThreadObservations,
     method: str,
     fit: Refined,
-    held: Held,
+    regions: ReliabilityRegions,
     reverse: bool,
     course: ThreadCourse | None,
     track: ThreadTrack | None = None,
 ) -> ThreadReconstruction:
     """The message; `reverse` exchanges the thread's ends, but not those of its course."""
-    camera, curve, regions = observations.camera, held.curve, held.regions
+    camera, curve = observations.camera, fit.curve
     s = SAMPLED
     covariance = point_covariance(fit, camera, s)
     if observations.calibration_covariance is not None:
@@ -65,7 +63,6 @@ def reconstruction(
     not_seen = ~seen(fit, camera)
     unseen = stretches(not_seen)
     hidden = hidden_of(project(camera, curve.at(_places())), not_seen, observations.occluders, camera.image_width)
-    order = np.argsort(held.s, kind="stable")
     way = slice(None, None, -1 if reverse else 1)
     turned, covariance = (
         Curve(curve.knots, curve.control_points[way].copy()) if reverse else curve,
@@ -84,11 +81,11 @@ def reconstruction(
         knots=curve.knots,
         control_points_camera=turned.control_points,
         regions=ReliabilityRegions(
-            _turned(held.s[order], reverse),
-            regions.centre_camera[order][way].copy(),
-            regions.bound_px[order][way].copy(),
-            regions.bound_depth[order][way].copy(),
-            held.slack[order][way].copy(),
+            _turned(regions.s, reverse),
+            regions.centre_camera[way].copy(),
+            regions.bound_px[way].copy(),
+            regions.bound_depth[way].copy(),
+            regions.slack[way].copy(),
         ),
         confidence_s=s,
         confidence=confidence[way].copy(),
@@ -181,7 +178,7 @@ def seen(fit: Refined, camera: RectifiedStereo) -> Bool[np.ndarray, "g"]:
             return np.zeros(UNSEEN_SAMPLES, bool)
         dense, along = _along_image(fit, camera, eye)
         place, here = np.interp(s, dense, along), np.interp(at, dense, along)
-        limit = max(LEAST_GAP, GAP_FACTOR * median(np.diff(place)))
+        limit = max(LEAST_GAP, GAP_FACTOR * np.median(np.diff(place)))
         after = np.clip(np.searchsorted(place, here), 1, len(s) - 1)
         near = np.minimum(np.abs(here - place[after - 1]), np.abs(place[after] - here))
         within = (here >= place[0]) & (here <= place[-1])

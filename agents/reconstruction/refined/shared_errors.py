@@ -25,7 +25,6 @@ to the line of sight. All of these are measured on renders (docs/reconstruction.
 import numpy as np
 from jaxtyping import Float64
 
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.normal_equations import SIDE, factored, solved
 from agents.reconstruction.refined.projection import DEGREE, chords, even_parameters, projected_evenly
 from agents.reconstruction.refined.refinement import Refined
@@ -81,7 +80,7 @@ def _errors_px(
     stated = sight.deviation_px / sight.raised
     larger = np.maximum(1.0, fit.scale * sight.raised)
     slow = larger**2 * np.maximum(0.0, stated**2 - SAMPLED_PX**2)
-    light = np.minimum(slow, (USUAL * larger * median(stated)) ** 2) * (stated**4 / (stated**4 + PIXELS_PX**4))
+    light = np.minimum(slow, (USUAL * larger * np.median(stated)) ** 2) * (stated**4 / (stated**4 + PIXELS_PX**4))
     half = 0.5 * sight.width_px
     own = slow - light + (half * np.minimum((curvature_px * half) ** 2, 1.0)) ** 2
     turned = across / (across + TURNS**2)

@@ -20,7 +20,6 @@ import scipy.ndimage
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.reconstruction.refined.alignment import STEEP, Alignment, piece_ends, runs, slopes
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.paths import Chain
 from agents.reconstruction.refined.projection import DENSE, Curve, chords, even_parameters, pixels_evenly, projected
 from schemas.messages import Centrelines, Image, Occluders, RectifiedStereo
@@ -73,7 +72,7 @@ def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
         np.repeat([0, 1], [len(index), len(right_index)]),
         np.concatenate((s, *(part[1] for part in parts))),
         np.concatenate(((index == 0) | (index == last), *(part[2] for part in parts))),
-        median(left.width_px),
+        float(np.median(left.width_px)),
         correlated,
     )
 
@@ -152,7 +151,7 @@ def _joined(intervals: Float64[np.ndarray, "f 2"]) -> Float64[np.ndarray, "g 2"]
 
 
 def _spacing(along_px: Float64[np.ndarray, "n"]) -> float:
-    return max(1.0, median(np.diff(along_px))) if len(along_px) > 1 else 1.0
+    return max(1.0, float(np.median(np.diff(along_px)))) if len(along_px) > 1 else 1.0
 
 
 def _stride(count: int) -> int:

@@ -17,19 +17,17 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.spatial import cKDTree
 
-from agents.reconstruction.minimum_variation import Regions
 from agents.reconstruction.paper import failed
-from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.following import Followed, LostError, band_of, curve_length, followed
 from agents.reconstruction.refined.method import (
     METHOD,
     NoCurveError,
     course_and_fit,
     need_evidence,
+    regions_along,
     seen_enough,
     told_course,
     uncertain,
-    within_regions,
 )
 from agents.reconstruction.refined.plausibility import is_usable_track, unusable
 from agents.reconstruction.refined.posterior import ALIKE, LEAST, point_covariance
@@ -38,6 +36,7 @@ from agents.reconstruction.refined.refinement import Refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
 from schemas.messages import (
     RectifiedStereo,
+    ReliabilityRegions,
     Status,
     ThreadCourse,
     ThreadObservations,
@@ -69,7 +68,7 @@ class _Alone:
     """What a frame says by itself, in the direction that is kept."""
 
     fit: Refined
-    held: Held
+    regions: ReliabilityRegions
     reverse: bool
     course: ThreadCourse
 
@@ -110,8 +109,7 @@ def _continued(
     if before.step is TrackStep.LOST or _is_due(before, elapsed_s, now.found_share):
         alone = _verified(observations, before, now)
         course = course if alone is None else _course_along(now.fit.curve, alone)
-    no_regions = Regions(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
-    held = Held(now.fit.curve, no_regions, np.zeros(0), np.zeros(0))
+    no_regions = ReliabilityRegions(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     track = replace(
         before,
         step=TrackStep.CONTINUED,
@@ -126,7 +124,7 @@ def _continued(
         span_weight=now.fit.weight,
         velocity_camera=_velocity(before.control_points_camera, now.fit.curve.control_points, elapsed_s),
     )
-    return reconstruction(observations, METHOD, now.fit, held, reverse=False, course=course, track=track)
+    return reconstruction(observations, METHOD, now.fit, no_regions, reverse=False, course=course, track=track)
 
 
 def _velocity(
@@ -138,7 +136,7 @@ def _velocity(
 def _course_along(curve: Curve, alone: _Alone) -> ThreadCourse:
     """The course of the frame alone, at the places of a curve that runs the same way."""
     at = np.linspace(0.0, 1.0, 401)
-    there = alone.held.curve.at(at[:: -1 if alone.reverse else 1])
+    there = alone.fit.curve.at(at[:: -1 if alone.reverse else 1])
     s = np.maximum.accumulate(_nearest(curve.at(at), there)[1]) / (len(at) - 1)
     return replace(alone.course, joins=np.interp(alone.course.joins, at, s), other=np.interp(alone.course.other, at, s))
 
@@ -152,7 +150,9 @@ def _begun(
         if _is_kept(observations, before):
             material_s, scale = _material(before, track)
             track = replace(track, material_s=material_s, length=scale)
-    return seen_enough(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse, alone.course, track))
+    return seen_enough(
+        reconstruction(observations, METHOD, alone.fit, alone.regions, alone.reverse, alone.course, track)
+    )
 
 
 def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | None) -> ThreadReconstruction:
@@ -164,12 +164,12 @@ def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | N
 
 def _alone(observations: ThreadObservations, before: ThreadTrack | None) -> _Alone:
     course, fit = course_and_fit(observations)
-    held = within_regions(fit, course, observations.camera)
     if before is None or not _is_kept(observations, before):
-        reverse = starts_right(held.curve, observations)
+        reverse = starts_right(fit.curve, observations)
     else:
-        reverse = _runs_against(held.curve, before)
-    return _Alone(fit, held, reverse, told_course(course, fit, reverse))
+        reverse = _runs_against(fit.curve, before)
+    regions = regions_along(fit, course, observations.camera)
+    return _Alone(fit, regions, reverse, told_course(course, fit, reverse))
 
 
 def _runs_against(curve: Curve, before: ThreadTrack) -> bool:

@@ -11,7 +11,7 @@ import pytest
 
 from agents.camera.scene_source import calibration_of
 from agents.perception.background_search import FRAMES_BETWEEN_LOOKS_WATCHED
-from agents.perception.glances.glance import PARTS, Part, glance, next_part, part_score
+from agents.perception.glance import PARTS, Part, glance, next_part, part_score
 from agents.perception.schedule import FRAMES_BETWEEN, GLANCES_AFTER_LOOK, LONGEST_REST, OLDEST_S, REST, Due, due
 from schemas.codec import encode
 from schemas.messages import Status

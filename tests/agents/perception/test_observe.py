@@ -6,8 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.perception.judge import Correspondence, correspondence_of_masks, correspondence_of_texture, judge
-from agents.perception.observe import LARGEST_SEGMENTED_SHARE, LEAST_OBSERVATIONS, observe
+from agents.perception.judging.alignment import judge
+from agents.perception.judging.correspondence import Correspondence, correspondence_of_masks, correspondence_of_texture
+from agents.perception.observe import LARGEST_SEGMENTED_SHARE, observe
+from agents.perception.paper.matched import LEAST_OBSERVATIONS
 from schemas.messages import FrameStamp, RectifiedStereo, Severity, Status, ThreadObservations
 from shared.camera import project
 from shared.images import decode_image

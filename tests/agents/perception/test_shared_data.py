@@ -11,8 +11,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from agents.perception.centrelines import thread_centrelines
-from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
-from agents.perception.observe import SEGMENTED_COVERAGE, observe
+from agents.perception.centrelines.centrelines import SEGMENTED_COVERAGE
+from agents.perception.judging.alignment import judge
+from agents.perception.judging.correspondence import correspondence_of
+from agents.perception.observe import observe
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
 from agents.perception.segmentation.network import segment_network
 from agents.perception.segmentation.threshold import segment_threshold
@@ -51,8 +53,7 @@ def published(name):
 
 def codes(left, right, mask_left, mask_right):
     segmented = mask_left >= SEGMENTED_COVERAGE, mask_right >= SEGMENTED_COVERAGE
-    seen = correspondence_of_texture(left, right, *segmented) or correspondence_of_masks(*segmented)
-    return [finding.code for finding in judge(seen, left.shape)]
+    return [finding.code for finding in judge(correspondence_of(left, right, *segmented), left.shape)]
 
 
 def down(image, rows):

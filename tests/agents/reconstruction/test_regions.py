@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.reconstruction.confidence import assumed_unit, confidence_along
+from agents.reconstruction.paper import assumed_unit, confidence_along
 from agents.reconstruction.regions import fit_depth, half_pixel_depth, is_borrowed
 from shared.camera import backproject, project
 from tests.agents.reconstruction.threads import CAMERA

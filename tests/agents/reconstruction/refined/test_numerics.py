@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from agents.reconstruction.refined.following import away_from, band_of, prior
-from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.near_inverse import near_inverse
 from agents.reconstruction.refined.normal_equations import (
     Blocks,
@@ -33,13 +32,6 @@ from tests.agents.reconstruction.threads import CAMERA, dense, sight_of, spline_
 
 SPLINE = spline_of(winding)
 SPANS = SPLINE.spans
-
-
-@pytest.mark.parametrize("count", [1, 2, 8, 501])
-def test_the_median_is_numpys_to_the_last_bit_and_none_of_nothing(count):
-    values = np.random.default_rng(count).normal(size=count)
-    assert median(values) == np.median(values)
-    assert np.isnan((median(np.append(values, np.nan)), median(values[:0]))).all()
 
 
 @pytest.mark.parametrize("spans", [1, 4, 9, 40])

@@ -20,8 +20,7 @@ from scipy.spatial import cKDTree
 
 from agents.perception.candidates.drawn import SPACING_PX
 from agents.perception.centrelines.along import STRIDE, Pieces
-from agents.perception.centrelines.glints import without_glints
-from agents.perception.centrelines.skeleton import skeleton_paths
+from agents.perception.centrelines.skeleton import depth_of, skeleton_paths
 from agents.perception.following.appearance import pieces_of
 from agents.perception.segmentation.classes import ThreadScore, score_within
 from agents.perception.segmentation.network import FAINTEST, thread_in
@@ -258,7 +257,7 @@ def _cuts_in(thread: Bool[np.ndarray, "h w"]) -> Float64[np.ndarray, "n 2"]:
     """Where the skeleton of a mask is cut, since strands meet there."""
     if not thread.any():
         return np.zeros((0, 2))
-    paths = skeleton_paths(*without_glints(thread))
+    paths = skeleton_paths(thread, depth_of(thread))
     pieces = Pieces(paths.path)
     at = np.concatenate((pieces.first[~paths.loose_start], pieces.last[~paths.loose_end]))
     return paths.pixel[at][:, ::-1].astype(np.float64)
