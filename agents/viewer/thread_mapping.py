@@ -21,7 +21,6 @@ Each function turns one message into entity paths with what to log there. A mess
 a failed frame empties what the frame before it showed.
 """
 
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -31,7 +30,7 @@ import rerun as rr
 from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
-from agents.viewer.entity import HALF_PX, LAST_FRAME, Entity
+from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.polyline import (
     CORNERS,
     EXAGGERATION,
@@ -49,7 +48,6 @@ from agents.viewer.polyline import (
 from agents.viewer.report import markdown, missed
 from schemas.messages import (
     Centrelines,
-    FrameStamp,
     RectifiedStereo,
     ReliabilityRegions,
     RightEye,
@@ -307,15 +305,6 @@ def report_entities(observations: ThreadObservations, reconstruction: ThreadReco
     """Status, facts and judgements as a document."""
     text = markdown(observations, reconstruction, thread_polyline(reconstruction))
     return [("report", [rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)])]
-
-
-def log(recording: rr.RecordingStream, stamp: FrameStamp, entities: Iterable[Entity]) -> None:
-    """Log entities at the capture time of their frame."""
-    recording.set_time("capture_time", timestamp=np.datetime64(stamp.capture_left_ns, "ns"))
-    recording.set_time("frame", sequence=min(stamp.sequence, LAST_FRAME))
-    for path, archetypes in entities:
-        for archetype in archetypes:
-            recording.log(path, archetype)
 
 
 def region_edges(camera: RectifiedStereo, regions: ReliabilityRegions) -> Float64[np.ndarray, "n 16 3"]:
