@@ -1,10 +1,11 @@
 """Reconstructions as rows of tables: the curve as a whole, and places along it with what is known of each."""
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from agents.inspection.export_columns import AXES, Block, Column, number, seconds, whole
 from schemas.messages import Status, ThreadReconstruction
+from shared.along_thread import confidence_at, unseen_at
 from shared.arc_length import length, parameters_at
 from shared.camera import project
 from shared.splines import evaluate
@@ -30,7 +31,7 @@ def frame_row(thread: ThreadReconstruction, published_ns: int, zero_ns: int) -> 
         "track": [thread.track.step.name.lower() if thread.track else ""],
         f"length_{unit}": number(total),
         "confidence_mean": number(float(thread.confidence.mean()) if len(thread.confidence) else None),
-        "unseen_share": number(1 - float(seen(thread.unseen, np.linspace(0, 1, 1001)).mean()) if ok else None),
+        "unseen_share": number(float(unseen_at(thread, np.linspace(0, 1, 1001)).mean()) if ok else None),
         "crossings": whole(len(thread.crossings)),
     }
 
@@ -45,17 +46,14 @@ def curve_rows(thread: ThreadReconstruction, zero_ns: int, points: int) -> Block
     covariance = _interpolated(thread.posterior_s, thread.posterior_covariance, at) * factor**2
     with np.errstate(all="ignore"):
         left_px = project(thread.camera, curve)[0]
-    confidence = np.full(points, np.nan)
-    if len(thread.confidence):
-        confidence = np.interp(s, thread.confidence_s, thread.confidence)
     rows: dict[str, Column] = {
         "frame": np.full(points, thread.stamp.sequence),
         "t_s": np.full(points, (thread.stamp.capture_left_ns - zero_ns) * 1e-9),
         "s": s,
     }
     rows |= {f"{axis}_camera_{unit}": curve[:, i] * factor for i, axis in enumerate(AXES)}
-    rows |= {"u_left_px": left_px[:, 0], "v_left_px": left_px[:, 1], "confidence": confidence}
-    rows |= {"seen": seen(thread.unseen, s).astype(np.int64), f"deviation_{unit}": _largest_deviation(covariance)}
+    rows |= {"u_left_px": left_px[:, 0], "v_left_px": left_px[:, 1], "confidence": confidence_at(thread, s)}
+    rows |= {"seen": (~unseen_at(thread, s)).astype(np.int64), f"deviation_{unit}": _largest_deviation(covariance)}
     return rows | {f"covariance_{AXES[i]}{AXES[j]}_{unit}2": covariance[:, i, j] for i, j in UPPER}
 
 
@@ -63,12 +61,6 @@ def length_unit(thread: ThreadReconstruction) -> tuple[str, float]:
     """The suffix of lengths and what they are multiplied with: metres where the calibration tells its unit."""
     metres = thread.camera.metres_per_unit
     return ("unit", 1.0) if metres is None else ("m", metres)
-
-
-def seen(unseen: Float64[np.ndarray, "g 2"], s: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    """Whether places lie outside of all stretches that not both images show."""
-    first, last = unseen.min(axis=1, initial=1.0), unseen.max(axis=1, initial=0.0)
-    return ~np.asarray(((s[:, None] >= first) & (s[:, None] <= last)).any(axis=1))
 
 
 def _interpolated(

@@ -43,7 +43,7 @@ from schemas.messages import (
     ThreadReconstruction,
     Verdict,
 )
-from shared.kinematics.psm import FINGER_M, JOINT_NAMES, LARGE_NEEDLE_DRIVER, WRIST_YAW
+from shared.kinematics.psm import FINGER_M, JOINT_NAMES, LARGE_NEEDLE_DRIVER, WRIST_YAW, finger_tips
 from shared.rigid_transforms import apply
 from shared.splines import evaluate
 
@@ -146,9 +146,7 @@ def mode_entities(state: RobotState) -> list[Entity]:
 
 def finger_lines(jaw_rad: float) -> Float64[np.ndarray, "2 2 3"]:
     """Both fingers in the tool frame, from the pin to the tip, each opened by half the jaw angle about x_tool."""
-    half = 0.5 * jaw_rad * np.array([1.0, -1.0])
-    tips = FINGER_M * np.stack((np.zeros(2), np.sin(half), np.cos(half)), axis=1)
-    return np.stack((np.zeros((2, 3)), tips), axis=1)
+    return np.stack((np.zeros((2, 3)), finger_tips(jaw_rad)), axis=1)
 
 
 def shaft_line(T_base_tool: Float64[np.ndarray, "4 4"], of_psm: bool = True) -> Float64[np.ndarray, "3 3"]:

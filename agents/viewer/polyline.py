@@ -19,7 +19,8 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
 
 from schemas.messages import Centrelines, Status, ThreadObservations, ThreadReconstruction
-from shared import arc_length, splines
+from shared import arc_length
+from shared.along_thread import confidence_at, nearly_even, unseen_at
 from shared.camera import project
 from shared.curve_distance import CHI_SQUARE_95
 from shared.splines import evaluate
@@ -62,8 +63,8 @@ def thread_polyline(reconstruction: ThreadReconstruction, count: int = MANY_POIN
         length = arc_length.length(knots, control, degree)
         if not np.isfinite(length):
             return None
-        parameter = _even_parameters(knots, control, degree, count)
-        points = splines.evaluate(knots, control, degree, parameter)
+        parameter, _ = nearly_even(knots, control, degree, count, CHORDS_PER_SPAN)
+        points = evaluate(knots, control, degree, parameter)
     if not (np.isfinite(points).all() and (points[:, 2] > 0).all()):
         return None
     if np.ptp(points, axis=0).max() <= SMALLEST_EXTENT * np.abs(points).max():
@@ -73,24 +74,10 @@ def thread_polyline(reconstruction: ThreadReconstruction, count: int = MANY_POIN
         points_camera=points,
         parameter=parameter,
         along=along,
-        confidence=_confidence_at(reconstruction, along),
-        unseen=_unseen_at(reconstruction, along),
+        confidence=confidence_at(reconstruction, along),
+        unseen=unseen_at(reconstruction, along),
         length=length,
     )
-
-
-def _even_parameters(
-    knots: Float64[np.ndarray, "k"], control: Float64[np.ndarray, "m 3"], degree: int, count: int
-) -> Float64[np.ndarray, "n"]:
-    """Parameters of points that are evenly spaced, as exactly as can be seen: the exact ones take ten times as long."""
-    breaks = np.unique(knots)
-    spans = len(breaks) - 1
-    s = np.interp(np.arange(CHORDS_PER_SPAN * spans + 1) / CHORDS_PER_SPAN, np.arange(spans + 1), breaks)
-    # huge numbers overflow when they are squared
-    points = splines.evaluate(knots, control / (np.abs(control).max() or 1.0), degree, s)
-    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    lengths = np.concatenate(([0.0], np.cumsum(chords)))
-    return np.interp(np.linspace(0.0, lengths[-1], count), lengths, s)
 
 
 def along_at(thread: Polyline, parameter: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
@@ -104,18 +91,6 @@ def at_shares(
     """Confidence, and whether not both images show the thread, at shares of its length."""
     nearest = np.rint(along * (len(thread.along) - 1)).astype(int)
     return np.interp(along, thread.along, thread.confidence), thread.unseen[nearest]
-
-
-def _confidence_at(reconstruction: ThreadReconstruction, along: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
-    if len(reconstruction.confidence) == 0:
-        return np.full(len(along), np.nan)
-    order = np.argsort(reconstruction.confidence_s)
-    return np.interp(along, reconstruction.confidence_s[order], reconstruction.confidence[order])
-
-
-def _unseen_at(reconstruction: ThreadReconstruction, along: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    begins, ends = reconstruction.unseen[:, :1], reconstruction.unseen[:, 1:]
-    return np.logical_or.reduce((begins <= along) & (along <= ends), axis=0)
 
 
 CORNERS = 12
