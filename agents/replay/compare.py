@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.replay.contents import PastCommand, known_topic
-from schemas.topics import FRAMES, Delivery
+from agents.replay.contents import PastCommand
+from schemas.topics import FRAMES, Delivery, known_topic
 from shared.recording.mcap_file import Entry
 
 OTHER = math.inf

@@ -18,7 +18,7 @@ from agents.viewer.layout import Scene, live_layout
 from agents.viewer.live import ViewerReport, report_of
 from agents.viewer.showing import Showing
 from agents.viewer.sinks import Layout, Sink, ViewerError, file_sink, open_page, served_sink, window_sink
-from schemas.topics import FRAMES, Delivery, topic_of
+from schemas.topics import FRAMES, Delivery, known_topic
 from shared.recording.mcap_file import Entry
 from shared.runtime.attachment import Attachment
 from shared.runtime.taps import Tapped
@@ -152,13 +152,11 @@ class RecordedViewer:
 
 def tapped_of(entry: Entry) -> Tapped | None:
     """A recorded message as it travelled; None where the table of topics does not have its key."""
-    try:
-        topic = topic_of(entry.key)
-    except KeyError:
+    topic = known_topic(entry.key)
+    if topic is None:
         return None
-    return Tapped(
-        topic, entry.key, entry.payload, Attachment(entry.epoch, entry.sequence, entry.published_ns, UNKNOWN_MS)
-    )
+    beside = Attachment(entry.epoch, entry.sequence, entry.published_ns, UNKNOWN_MS)
+    return Tapped(topic, entry.key, entry.payload, beside)
 
 
 def between(entries: Iterator[Entry], from_s: float | None, to_s: float | None) -> Iterator[Entry]:

@@ -17,7 +17,6 @@ from agents.replay.contents import (
     WindowError,
     contents_of,
     name_of,
-    readable,
     select,
     window_ns,
 )
@@ -26,7 +25,7 @@ from agents.replay.player import Controls, Played, Player
 from schemas.messages import Outcome
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness
-from shared.recording.mcap_file import RecordingError
+from shared.recording.mcap_file import RecordingError, UntilDamage
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.connection import NoRouterError
 from shared.runtime.republishing import REPLAY, Republisher, republishing
@@ -90,7 +89,9 @@ def _replay(options: Replay) -> int:
             try:
                 began_s = monotonic_s()
                 while not controls.stopped:
-                    source = items(readable(options.recording), selection.keys, commands, window, settings.rig)
+                    source = items(
+                        UntilDamage(options.recording).entries(), selection.keys, commands, window, settings.rig
+                    )
                     player.play(source, window[0])
                     if not options.loop:
                         break
