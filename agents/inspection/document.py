@@ -17,8 +17,9 @@ from agents.inspection.accounts import BEFORE, PERCENTILES, StageTimes, added_ms
 from agents.inspection.contents import KeyContents
 from agents.inspection.grasps import Arming, Grasp
 from agents.inspection.session import Session
-from agents.inspection.table import Table, all_printable, first_rows, printable
+from agents.inspection.table import Table, all_printable, first_rows
 from schemas.messages import CommandAnswer, GraspGoal, GraspJudgement, GraspPlan
+from shared.terminal import printable
 
 FORM = 1
 """Counts up where a name changes its meaning."""

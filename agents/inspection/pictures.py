@@ -4,7 +4,6 @@ The recording is read a second time for them: which frames matter is known only 
 be kept until then.
 """
 
-import base64
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -49,10 +48,9 @@ class Picture:
     pixels: UInt8[np.ndarray, "h w 3"]
 
     @property
-    def uri(self) -> str:
-        """The picture as a data URI."""
-        data = cv2.imencode(".jpg", self.pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-        return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
+    def jpeg(self) -> bytes:
+        """The picture as a page holds it."""
+        return cv2.imencode(".jpg", self.pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
 @dataclass
