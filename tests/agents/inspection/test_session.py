@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.inspection.contents import gaps_of
-from agents.inspection.grasp_tables import grasps
 from agents.inspection.grasps import GraspCollector
 from agents.inspection.session import read_session
-from agents.inspection.tables import head_lines, session_tables
+from agents.inspection.tables import grasps, head_lines, session_tables
 from schemas import messages
 from schemas.topics import ARM, CONFIGURATION, EXECUTION, FRAMES, HEALTH, HOLD, LOG, PLAN, SET, key
 from shared.recording.derivation import Anew, Derivation
