@@ -8,7 +8,8 @@ import rerun.blueprint as rrb
 from jaxtyping import Float64
 
 from agents.viewer import colours
-from agents.viewer.thread_mapping import EXAGGERATION, SIDES
+from agents.viewer.entity import SIDES
+from agents.viewer.polyline import EXAGGERATION
 
 VIEWPOINT = (0.55, -0.4, -0.75)
 """Where one looks at the thread from, seen from there, as a multiple of its distance: right, above, and behind."""

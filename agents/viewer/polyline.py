@@ -16,13 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.spatial import KDTree
 
 from schemas.messages import Centrelines, Status, ThreadObservations, ThreadReconstruction
 from shared import arc_length
 from shared.along_thread import confidence_at, nearly_even, unseen_at
 from shared.camera import project
-from shared.curve_distance import CHI_SQUARE_95
+from shared.curve_distance import CHI_SQUARE_95, nearest_on_polyline
 from shared.splines import evaluate
 
 MANY_POINTS = 400
@@ -270,28 +269,9 @@ def closeness(found: Residuals) -> Float64[np.ndarray, "n"]:
 def _feet(
     point: Float64[np.ndarray, "n 2"], line: Float64[np.ndarray, "m 2"], along: Float64[np.ndarray, "m"]
 ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n"]]:
-    """The nearest places of a polyline: on the two pieces of it that meet in the nearest corner."""
+    """The nearest places of a polyline, and the shares of its length before them."""
     inside = np.isfinite(line).all(axis=1)
     if not len(point) or inside.sum() < 2:
         return np.full(point.shape, UNSEEN_PLACE), np.zeros(len(point))
-    line, along = line[inside], along[inside]
-    corner = np.asarray(KDTree(line).query(point)[1])
-    feet = [_foot_on_piece(point, line, along, np.clip(corner - k, 0, len(line) - 2)) for k in (1, 0)]
-    (foot, at, squared), (other, other_at, other_squared) = feet
-    nearer = squared <= other_squared
-    return np.where(nearer[:, None], foot, other), np.where(nearer, at, other_at)
-
-
-def _foot_on_piece(
-    point: Float64[np.ndarray, "n 2"],
-    line: Float64[np.ndarray, "m 2"],
-    along: Float64[np.ndarray, "m"],
-    piece: np.ndarray,
-) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
-    start, step = line[piece], line[piece + 1] - line[piece]
-    squared = np.einsum("ij,ij->i", step, step)
-    share = np.divide(np.einsum("ij,ij->i", point - start, step), squared, out=np.zeros(len(point)), where=squared > 0)
-    share = np.clip(share, 0.0, 1.0)
-    foot = start + share[:, None] * step
-    off = point - foot
-    return foot, along[piece] + share * (along[piece + 1] - along[piece]), np.einsum("ij,ij->i", off, off)
+    foot, at = nearest_on_polyline(point, line[inside])
+    return foot, np.interp(at, np.arange(inside.sum()), along[inside])

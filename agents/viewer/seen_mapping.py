@@ -31,7 +31,7 @@ import rerun as rr
 from jaxtyping import Bool, Float64, UInt8
 
 from agents.viewer import colours
-from agents.viewer.entity import HALF_PX, MM_PER_METRE, Entity, camera_in_mm
+from agents.viewer.entity import HALF_PX, MM_PER_METRE, SIDES, Entity, camera_in_mm
 from agents.viewer.image_pane import decoded_mask, enlarged
 from agents.viewer.report import finding_text, findings, stereo_text, threads_text
 from agents.viewer.session_mapping import lane, said
@@ -84,7 +84,6 @@ def coverage(mask: Image) -> UInt8[np.ndarray, "h w"]:
     return coverage
 
 
-SIDES = ("left", "right")
 OPACITY = 60
 """Of 255."""
 LARGEST_PIXELS = 1 << 26

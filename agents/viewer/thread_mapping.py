@@ -30,7 +30,7 @@ import rerun as rr
 from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
-from agents.viewer.entity import HALF_PX, Entity
+from agents.viewer.entity import HALF_PX, SIDES, Entity
 from agents.viewer.polyline import (
     CORNERS,
     EXAGGERATION,
@@ -88,8 +88,6 @@ WHISKERS_ABOUT = 300
 """Whiskers in each image; neighbouring points of a centreline err alike."""
 
 TUBE_OPACITY = 120
-
-SIDES = ("left", "right")
 
 
 def curve_looks() -> list[Entity]:
