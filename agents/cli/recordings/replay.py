@@ -9,7 +9,6 @@ from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_keys import steered
 from agents.configuration.rig import RigConfig, simulated_rig
 from agents.launch.process import EXIT_DAMAGED, on_stop
-from agents.replay.compare import items
 from agents.replay.contents import (
     Contents,
     Selection,
@@ -21,6 +20,7 @@ from agents.replay.contents import (
     window_ns,
 )
 from agents.replay.flow import Flow, StuckError
+from agents.replay.items import items
 from agents.replay.player import Controls, Played, Player
 from schemas.messages import Outcome
 from shared.clock import monotonic_s

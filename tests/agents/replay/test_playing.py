@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.replay.compare import Message, ReadAhead, items
 from agents.replay.contents import (
     PastCommand,
     SelectionError,
@@ -19,6 +18,7 @@ from agents.replay.contents import (
     window_ns,
 )
 from agents.replay.flow import Awaited, awaited_of, spacing_errors_ms, spacing_of
+from agents.replay.items import Message, ReadAhead, items
 from agents.replay.player import Controls, Timeline
 from schemas.messages import Consumed, Progress
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, PROMPT, ROBOT_STATE, THREAD, key
