@@ -3,8 +3,8 @@
 from collections import Counter
 from collections.abc import Callable, Iterable
 
-from agents.inspection.accounts import percentiles
 from agents.inspection.session import Session
+from agents.inspection.stages import percentiles
 from agents.inspection.table import Row, Table, decimal, short
 
 Value = float | None

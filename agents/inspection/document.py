@@ -13,10 +13,10 @@ import rich.table
 from rich.console import Console
 from rich.text import Text
 
-from agents.inspection.accounts import BEFORE, PERCENTILES, StageTimes, added_ms, percentiles
 from agents.inspection.contents import KeyContents
 from agents.inspection.grasps import Arming, Grasp
 from agents.inspection.session import Session
+from agents.inspection.stages import BEFORE, PERCENTILES, StageTimes, added_ms, percentiles
 from agents.inspection.table import Table, all_printable, first_rows
 from schemas.messages import CommandAnswer, GraspGoal, GraspJudgement, GraspPlan
 from shared.terminal import printable

@@ -7,21 +7,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from agents.inspection.accounts import (
-    AccountCollector,
-    AgentAccount,
-    Remark,
-    StageTimes,
-    attached_facts,
-    captured_ns,
-    facts_of_messages,
-    in_order,
-    noted_facts,
-    stage_of,
-)
+from agents.inspection.accounts import AccountCollector, AgentAccount, Remark
 from agents.inspection.contents import ContentsCollector, KeyContents, without_left_out
+from agents.inspection.facts import (
+    Setting,
+    SettingCollector,
+    attached_facts,
+    facts_of_messages,
+    noted_facts,
+    setting_facts,
+)
 from agents.inspection.grasps import Grasp, GraspCollector, OtherCommand
-from agents.inspection.settings import Setting, SettingCollector, setting_facts
+from agents.inspection.stages import StageTimes, captured_ns, in_order, stage_of
 from agents.inspection.threads import ThreadQuality
 from schemas.checks import MessageError
 from schemas.codec import decode

@@ -2,10 +2,11 @@
 
 from datetime import UTC, datetime
 
-from agents.inspection.accounts import BEFORE, added_ms, is_of_a_moment, percentiles
 from agents.inspection.contents import KeyContents
+from agents.inspection.facts import is_of_a_moment
 from agents.inspection.grasps import Arming, Grasp, event_name
 from agents.inspection.session import Session
+from agents.inspection.stages import BEFORE, added_ms, percentiles
 from agents.inspection.table import Row, Table, decimal, megabytes, short
 from schemas.messages import CommandAnswer, GraspGoal, Hold, Outcome, Prompt
 from shared.recording.losses import AT

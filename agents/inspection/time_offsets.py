@@ -1,6 +1,6 @@
 """By how much a recording's camera is later than the joints of each of its arms, where the arms move the most."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 from agents.inspection.table import Table
 from schemas.messages import RobotState
 from schemas.topics import FRAMES, ROBOT_STATE
-from shared.calibration.time_offset import TOO_LITTLE, TimeOffset, ToolMotion, time_offset, windows_of
+from shared.calibration.time_offset import TOO_LITTLE, TimeOffset, ToolMotion, motion_of, time_offset, windows_of
 from shared.images import ImageDataError, decode_image
 from shared.recording.mcap_file import UntilDamage
 
@@ -55,16 +55,6 @@ def offset_table(offsets: tuple[ArmOffset, ...]) -> Table:
     """A row for each arm."""
     rows = tuple((one.arm, one.sentence) for one in offsets) or (("none", "the recording holds no states of an arm"),)
     return Table("the camera's stamps are later than the joints' by", ("arm", "by"), rows)
-
-
-def motion_of(states: Mapping[int, RobotState]) -> ToolMotion:
-    """The tool's motion, from the states of an arm by when they were measured."""
-    ordered = [states[at_ns] for at_ns in sorted(states)]
-    return ToolMotion(
-        np.array([state.measured_ns * 1e-9 for state in ordered]),
-        np.array([state.T_base_tool for state in ordered]),
-        np.array([state.jaw_rad for state in ordered]),
-    )
 
 
 def _most_motion(motions: list[ToolMotion]) -> float:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from agents.inspection.accounts import StageTimes, captured_ns
+from agents.inspection.stages import StageTimes, captured_ns
 from agents.launch.session_folder import SessionFolder
 from schemas.checks import MessageError
 from schemas.codec import decode
