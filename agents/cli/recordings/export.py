@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from agents.cli.recordings.options import Export
-from agents.inspection.export import FORMATS, export
 from agents.launch.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
+from agents.session_report.export import FORMATS, export
 from shared.recording.entry import RecordingError
 from shared.terminal import complain, say, warn
 

@@ -10,7 +10,7 @@ from agents.cli.main import main
 from agents.cli.recordings.config import attached_config, changed, in_force, settings_otherwise
 from agents.cli.recordings.recompute import EXIT_UNUSABLE
 from agents.configuration.rig import simulated_rig
-from agents.inspection.table import decimal
+from agents.session_report.table import decimal
 from shared.recording.completeness import completeness
 from tests.agents.cli.conftest import REPOSITORY
 

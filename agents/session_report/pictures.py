@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from agents.inspection.grasps import event_name
-from agents.inspection.session import Session
+from agents.session_report.grasps import event_name
+from agents.session_report.session import Session
 from schemas.messages import GraspPlan, Status, StereoCalibration, StereoFrame, ThreadReconstruction
 from schemas.topics import CALIBRATION, FRAMES, THREAD
 from shared.arc_length import length, parameters_at

@@ -15,7 +15,7 @@ from typing import IO, Any, Protocol
 
 import numpy as np
 
-from agents.inspection.export_rows import Block, blocks, row_count
+from agents.session_report.export_rows import Block, blocks, row_count
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.topics import COMMANDS, EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, THREAD, known_topic

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.inspection.page import WIDTH, Mark, Series, chart, nice_ceiling, session_page, thinned
-from agents.inspection.pictures import pictures_of
-from agents.inspection.session import read_session
-from tests.agents.inspection.conftest import ns
+from agents.session_report.page import WIDTH, Mark, Series, chart, nice_ceiling, session_page, thinned
+from agents.session_report.pictures import pictures_of
+from agents.session_report.session import read_session
+from tests.agents.session_report.conftest import ns
 
 
 class Outline(html.parser.HTMLParser):

@@ -2,12 +2,12 @@
 
 from datetime import UTC, datetime
 
-from agents.inspection.contents import KeyContents
-from agents.inspection.facts import is_of_a_moment
-from agents.inspection.grasps import Arming, Grasp, event_name
-from agents.inspection.session import Session
-from agents.inspection.stages import BEFORE, added_ms, percentiles
-from agents.inspection.table import Row, Table, decimal, megabytes, short
+from agents.session_report.contents import KeyContents
+from agents.session_report.facts import is_of_a_moment
+from agents.session_report.grasps import Arming, Grasp, event_name
+from agents.session_report.session import Session
+from agents.session_report.stages import BEFORE, added_ms, percentiles
+from agents.session_report.table import Row, Table, decimal, megabytes, short
 from schemas.messages import CommandAnswer, GraspGoal, Hold, Outcome, Prompt
 from shared.recording.losses import AT
 

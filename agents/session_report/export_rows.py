@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from agents.inspection.grasps import COMMAND_TYPES
+from agents.session_report.grasps import COMMAND_TYPES
 from schemas.codec import decode
 from schemas.messages import (
     Arm,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.inspection.table import Table
+from agents.session_report.table import Table
 from schemas.messages import RobotState
 from schemas.topics import FRAMES, ROBOT_STATE
 from shared.calibration.time_offset import TOO_LITTLE, TimeOffset, ToolMotion, motion_of, time_offset, windows_of

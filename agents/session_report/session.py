@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from agents.inspection.accounts import AccountCollector, AgentAccount, Remark
-from agents.inspection.contents import ContentsCollector, KeyContents, without_left_out
-from agents.inspection.facts import (
+from agents.session_report.accounts import AccountCollector, AgentAccount, Remark
+from agents.session_report.contents import ContentsCollector, KeyContents, without_left_out
+from agents.session_report.facts import (
     Setting,
     SettingCollector,
     attached_facts,
@@ -17,9 +17,9 @@ from agents.inspection.facts import (
     noted_facts,
     setting_facts,
 )
-from agents.inspection.grasps import Grasp, GraspCollector, OtherCommand
-from agents.inspection.stages import StageTimes, captured_ns, in_order, stage_of
-from agents.inspection.threads import ThreadQuality
+from agents.session_report.grasps import Grasp, GraspCollector, OtherCommand
+from agents.session_report.stages import StageTimes, captured_ns, in_order, stage_of
+from agents.session_report.threads import ThreadQuality
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import SimulatorState, StereoCalibration

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.inspection.accounts import AgentAccount, name_of
-from agents.inspection.threads import ThreadQuality
+from agents.session_report.accounts import AgentAccount, name_of
+from agents.session_report.threads import ThreadQuality
 from schemas.codec import decode
 from schemas.messages import AgentConfiguration, CommandRecord, Outcome, SetParameter, SimulatorState, StereoCalibration
 from schemas.topics import COMMANDS, CONFIGURATION, SET, Topic

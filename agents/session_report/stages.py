@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from agents.inspection.contents import LATEST_NS
+from agents.session_report.contents import LATEST_NS
 from schemas.topics import FRAMES, PLAN, ROBOT_STATE, TOPICS, Topic
 
 STAGES = tuple(topic for topic in TOPICS if topic is FRAMES or (topic.made_from is not None and not topic.per_arm))

@@ -3,9 +3,9 @@
 from collections import Counter
 from collections.abc import Callable, Iterable
 
-from agents.inspection.session import Session
-from agents.inspection.stages import percentiles
-from agents.inspection.table import Row, Table, decimal, short
+from agents.session_report.session import Session
+from agents.session_report.stages import percentiles
+from agents.session_report.table import Row, Table, decimal, short
 
 Value = float | None
 OF_A_REPLAY = {

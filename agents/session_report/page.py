@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from agents.inspection.grasps import Grasp, event_name
-from agents.inspection.pictures import Picture
-from agents.inspection.session import Session
-from agents.inspection.table import Table
-from agents.inspection.tables import head_lines, session_tables
+from agents.session_report.grasps import Grasp, event_name
+from agents.session_report.pictures import Picture
+from agents.session_report.session import Session
+from agents.session_report.table import Table
+from agents.session_report.tables import head_lines, session_tables
 from schemas.topics import ROBOT_STATE
 from shared.html_page import escaped, figure, image, page, paragraph, table
 
