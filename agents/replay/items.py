@@ -7,8 +7,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from agents.replay.contents import PastCommand
-from schemas.topics import FRAMES, Delivery, known_topic
-from shared.recording.mcap_file import Entry
+from schemas.topics import FRAMES, known_topic
+from shared.recording.entry import Entry
+from shared.recording.stretch import stretch
 
 AHEAD_BYTES = 64 << 20
 """What is read ahead of time, some seconds of everything, so that the disk delays nothing."""
@@ -50,20 +51,8 @@ def _messages(
 ) -> Iterator[Message]:
     begin_ns, end_ns = window_ns
     has_frames = any(known_topic(key) is FRAMES for key in keys)
-    states: dict[str, Message] | None = {}
-    for entry in recording:
-        if entry.received_ns > end_ns:
-            break
-        if entry.key not in keys:
-            continue
-        message = _message(entry, begin_ns, rig, has_frames)
-        if entry.received_ns >= begin_ns:
-            yield from (states or {}).values()
-            states = None
-            yield message
-        elif states is not None and _is_state(entry.key):
-            states[entry.key] = message
-    yield from (states or {}).values()
+    played = (entry for entry in recording if entry.key in keys)
+    return (_message(entry, begin_ns, rig, has_frames) for entry in stretch(played, begin_ns, end_ns))
 
 
 def _message(entry: Entry, begin_ns: int, rig: str, has_frames: bool) -> Message:
@@ -71,11 +60,6 @@ def _message(entry: Entry, begin_ns: int, rig: str, has_frames: bool) -> Message
     key = "/".join((parts[0], rig, *parts[2:]))
     ends_step = not has_frames or known_topic(entry.key) is FRAMES
     return Message(max(entry.received_ns, begin_ns), key, entry.payload, entry.published_ns, ends_step)
-
-
-def _is_state(key: str) -> bool:
-    topic = known_topic(key)
-    return topic is not None and topic.delivery is Delivery.STATE
 
 
 class ReadAhead:
