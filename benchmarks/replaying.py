@@ -23,12 +23,12 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from agents.replay.contents import contents_of, known_topic, readable
+from agents.replay.contents import contents_of
 from agents.replay.flow import Spacing, spacing_errors_ms, spacing_of
 from benchmarks.tables import Goal, Row, print_goals, print_rows, write_json
-from schemas.topics import FRAMES, OBSERVATIONS, ROBOT_STATE, SIMULATOR_STATE, TOPICS, Topic, key
+from schemas.topics import FRAMES, OBSERVATIONS, ROBOT_STATE, SIMULATOR_STATE, TOPICS, Topic, key, known_topic
 from shared.clock import monotonic_s
-from shared.recording.mcap_file import Entry, RecordingWriter
+from shared.recording.mcap_file import Entry, RecordingWriter, UntilDamage
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings, free_local_endpoint
 from shared.runtime.taps import Tapped
@@ -150,7 +150,7 @@ def _spacing_of_heard(recording: Path, heard: Heard, rate: float) -> tuple[Spaci
     """The spacing at the subscriber, where both neighbours came; and how many messages were to be sent."""
     keys = {name: _on_rig(name) for name in contents_of(recording).counts}
     times = defaultdict[str, list[int]](list)
-    for entry in readable(recording):
+    for entry in UntilDamage(recording).entries():
         if entry.key in keys and known_topic(entry.key) is not None:
             times[keys[entry.key]].append(entry.received_ns)
     came = {(name, number): at_s for name, number, at_s in heard}

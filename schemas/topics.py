@@ -314,10 +314,14 @@ def topic_of(key_expression: str) -> Topic:
     raise KeyError(f"no topic of the table has the key {key_expression!r}")
 
 
-def is_known(key_expression: str) -> bool:
-    """Whether the table has a row for a concrete key; another version may have others."""
+def known_topic(key_expression: str) -> Topic | None:
+    """The same; None where the table has none, since another version may have others."""
     try:
-        topic_of(key_expression)
+        return topic_of(key_expression)
     except KeyError:
-        return False
-    return True
+        return None
+
+
+def is_known(key_expression: str) -> bool:
+    """Whether the table has a row for a concrete key."""
+    return known_topic(key_expression) is not None

@@ -54,20 +54,38 @@ def distances_to_polyline(
 
     Distances to the corners alone would add half their spacing to errors that are as small as that.
     """
+    return np.linalg.norm(points - nearest_on_polyline(points, polyline)[0], axis=1)
+
+
+def nearest_on_polyline(
+    points: Float64[np.ndarray, "n d"], polyline: Float64[np.ndarray, "m d"]
+) -> tuple[Float64[np.ndarray, "n d"], Float64[np.ndarray, "n"]]:
+    """The place of the polyline that is nearest to each point, and where along it that is, counted in pieces.
+
+    Of all pieces those two are looked at that meet in the nearest corner.
+    """
     nearest = np.asarray(KDTree(polyline).query(points)[1])
     if len(polyline) == 1:
-        return np.linalg.norm(points - polyline[0], axis=1)
-    before = np.clip(nearest - 1, 0, len(polyline) - 2), np.clip(nearest, 0, len(polyline) - 2)
-    return np.minimum(*(_distances_to_piece(points, polyline[i], polyline[i + 1]) for i in before))
+        return polyline[nearest], np.zeros(len(points))
+    either = [np.clip(nearest - back, 0, len(polyline) - 2) for back in (1, 0)]
+    (foot, at, squared), (other, other_at, other_squared) = (_on_piece(points, polyline, piece) for piece in either)
+    nearer = squared <= other_squared
+    return np.where(nearer[:, None], foot, other), np.where(nearer, at, other_at)
 
 
-def _distances_to_piece(
-    points: Float64[np.ndarray, "n d"], start: Float64[np.ndarray, "n d"], end: Float64[np.ndarray, "n d"]
-) -> Float64[np.ndarray, "n"]:
-    along, offset = end - start, points - start
-    squared = np.sum(along**2, axis=1)
-    share = np.divide(np.sum(offset * along, axis=1), squared, out=np.zeros(len(points)), where=squared > 0)
-    return np.linalg.norm(offset - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
+def _on_piece(
+    points: Float64[np.ndarray, "n d"], polyline: Float64[np.ndarray, "m d"], piece: Int64[np.ndarray, "n"]
+) -> tuple[Float64[np.ndarray, "n d"], Float64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
+    """The nearest place on one piece for each point, where that is, and its squared distance."""
+    start, step = polyline[piece], polyline[piece + 1] - polyline[piece]
+    squared = np.einsum("ij,ij->i", step, step)
+    share = np.divide(
+        np.einsum("ij,ij->i", points - start, step), squared, out=np.zeros(len(points)), where=squared > 0
+    )
+    share = np.clip(share, 0.0, 1.0)
+    foot = start + share[:, None] * step
+    off = points - foot
+    return foot, piece + share, np.einsum("ij,ij->i", off, off)
 
 
 def nearest_distances(points: Float64[np.ndarray, "n d"], to: Float64[np.ndarray, "m d"]) -> Float64[np.ndarray, "n"]:

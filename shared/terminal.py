@@ -20,7 +20,7 @@ def open_missing_streams() -> None:
 
 def say(sentence: str) -> None:
     """Print one line to standard output; characters that it cannot show are escaped."""
-    show(_one_line(sentence))
+    show(printable(sentence))
 
 
 def show(line: str) -> bool:
@@ -34,12 +34,12 @@ def show(line: str) -> bool:
 
 def warn(sentence: str) -> None:
     """Print one line about a doubt to standard error."""
-    print(f"warning: {_one_line(sentence)}", file=sys.stderr)
+    print(f"warning: {printable(sentence)}", file=sys.stderr)
 
 
 def complain(sentence: str, status: int) -> int:
     """Print the one line about a failure to standard error, and return the exit status that goes with it."""
-    print(f"suturegrasp: {_one_line(sentence)}", file=sys.stderr)
+    print(f"suturegrasp: {printable(sentence)}", file=sys.stderr)
     return status
 
 
@@ -63,6 +63,6 @@ def without_readers() -> Generator[None]:
             warn(f"standard output cannot be written to: {error.strerror or error}")
 
 
-def _one_line(sentence: str) -> str:
+def printable(sentence: str) -> str:
     """The sentence as any terminal can show it, whatever names of files it quotes."""
     return "".join(char if char.isprintable() else "?" for char in " ".join(sentence.split()))

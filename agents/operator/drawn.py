@@ -30,8 +30,9 @@ from schemas.messages import (
     Waypoint,
 )
 from shared import splines
+from shared.along_thread import confidence_at, nearly_even, unseen_at
 from shared.camera import backproject, project
-from shared.kinematics.psm import FINGER_M
+from shared.kinematics.psm import finger_tips
 from shared.rigid_transforms import apply, exp_so3, log_so3
 
 PLACES = 201
@@ -103,17 +104,13 @@ def draw_thread(thread: ThreadReconstruction) -> DrawnThread | None:
         return None
     knots, control, degree = thread.knots, thread.control_points_camera, thread.degree
     with np.errstate(all="ignore"):
-        points, length = evenly(knots, control, degree, PLACES)
+        spans = max(1, len(np.unique(knots)) - 1)
+        parameters, length = nearly_even(knots, control, degree, PLACES, -(-CHORDS // spans))
+        points = splines.evaluate(knots, control, degree, parameters)
         if not (np.isfinite(points).all() and np.isfinite(length) and (points[:, 2] > 0).all()):
             return None
         px, _ = project(thread.camera, points)
     along, to_mm = np.linspace(0.0, 1.0, PLACES), millimetres(thread.camera)
-    order = np.argsort(thread.confidence_s)
-    stated = len(order) > 0
-    confidence = (
-        np.interp(along, thread.confidence_s[order], thread.confidence[order]) if stated else np.full(PLACES, np.nan)
-    )
-    begins, ends = thread.unseen[:, :1], thread.unseen[:, 1:]
     crossings = tuple(
         {
             "px": [round(float(v), 1) for v in crossing.point_px],
@@ -129,8 +126,8 @@ def draw_thread(thread: ThreadReconstruction) -> DrawnThread | None:
         px=np.clip(px, -FARTHEST_PX, FARTHEST_PX),
         points_mm=points * (to_mm or 1.0),
         along=along,
-        confidence=confidence,
-        unseen=np.logical_or.reduce((begins <= along) & (along <= ends), axis=0) if len(begins) else along < 0,
+        confidence=confidence_at(thread, along),
+        unseen=unseen_at(thread, along),
         length_mm=length * (to_mm or 1.0),
         to_mm=to_mm,
         crossings=crossings,
@@ -138,19 +135,6 @@ def draw_thread(thread: ThreadReconstruction) -> DrawnThread | None:
         if thread.course is None
         else tuple((round(float(a), 3), round(float(b), 3)) for a, b in thread.course.elsewhere),
     )
-
-
-def evenly(
-    knots: Float64[np.ndarray, "k"], control_points: Float64[np.ndarray, "m d"], degree: int, count: int
-) -> tuple[Float64[np.ndarray, "n d"], float]:
-    """Points of a curve, evenly spaced along it, and its length by chords, in the unit of the control points."""
-    breaks = np.unique(knots)
-    per_span = -(-CHORDS // max(1, len(breaks) - 1))
-    cuts = np.interp(np.arange(per_span * (len(breaks) - 1) + 1) / per_span, np.arange(len(breaks)), breaks)
-    chords = np.linalg.norm(np.diff(splines.evaluate(knots, control_points, degree, cuts), axis=0), axis=1)
-    lengths = np.concatenate(([0.0], np.cumsum(chords)))
-    parameters = np.interp(np.linspace(0.0, lengths[-1], count), lengths, cuts)
-    return splines.evaluate(knots, control_points, degree, parameters), float(lengths[-1])
 
 
 STEPS_MM, TURN_DEG = 0.6, 4.0
@@ -237,8 +221,7 @@ def _posed(pose: Float64[np.ndarray, "4 4"], jaw: float, waypoint: Waypoint, cam
 
 def _fingers(pose: Float64[np.ndarray, "4 4"], jaw: float, camera: RectifiedStereo) -> dict[str, Any]:
     """Tip, pin and tip of a jaw; empty where a part of it is not before the camera."""
-    half = 0.5 * jaw * np.array([1.0, -1.0])
-    tips = FINGER_M * np.stack((np.zeros(2), np.sin(half), np.cos(half)), axis=1)
+    tips = finger_tips(jaw)
     points = apply(pose, np.stack((tips[0], np.zeros(3), tips[1])))
     return _line(points, camera)
 

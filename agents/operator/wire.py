@@ -5,135 +5,148 @@ Messages to pages as text: JSON without spaces, put together from parts that are
 
 import base64
 import json
-import math
-import types
-import typing
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
+from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic.dataclasses import dataclass
 
-LONGEST_TEXT = 200
 LONGEST_MESSAGE = 4096
 """Characters; a page's longest message has a few hundred."""
-FARTHEST_PX = 1e5
+STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, str_max_length=200)
 
 
 class WireError(ValueError):
     """A message that no page sends."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Hello:
     """The first message: the secret of this session."""
 
     secret: str
+    kind: Literal["hello"] = "hello"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Shown:
-    """A picture is on the screen; `at_ms` by the page's clock (milliseconds since 1970)."""
+    """The picture of a frame is on the screen."""
 
-    frame: int
-    at_ms: float
+    frame: Annotated[int, Field(ge=0, lt=1 << 53)]
+    kind: Literal["shown"] = "shown"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Take:
     """Asks for control."""
 
+    kind: Literal["take"] = "take"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, config=STRICT)
 class Give:
     """Gives control to whoever asks for it (`yes`), or keeps it; without anybody asking, lets go of it."""
 
     yes: bool
+    kind: Literal["give"] = "give"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Click:
     """A pixel of the rectified left image, on the thread of that frame."""
 
-    frame: int
+    frame: Annotated[int, Field(ge=0, lt=1 << 53)]
     pixel: tuple[float, float]
     arm: str
     policy: str
+    kind: Literal["click"] = "click"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Place:
     """A place along the thread, as s."""
 
     s: float
     arm: str
     policy: str
+    kind: Literal["place"] = "place"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class PromptAt:
     """The thread at a pixel is meant; without a pixel any."""
 
     pixel: tuple[float, float] | None
+    kind: Literal["prompt"] = "prompt"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Press:
     """The button that arms went down on a plan."""
 
     arm: str
     plan_id: str
+    kind: Literal["press"] = "press"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Beat:
     """The answer to a challenge: the button is down, and whoever presses it sees the page."""
 
     challenge: str
+    kind: Literal["beat"] = "beat"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Release:
     """The button is up, and why."""
 
     why: str
+    kind: Literal["release"] = "release"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class HoldAll:
     """Every arm is to hold."""
 
+    kind: Literal["hold"] = "hold"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, config=STRICT)
 class Record:
     """Begin or end a recording."""
 
     on: bool
+    kind: Literal["record"] = "record"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Look:
     """What this page wants to be shown besides image, thread and tool."""
 
     observations: bool
     space: bool
+    kind: Literal["look"] = "look"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class GoOn:
     """Go on with the next goal of the experiment's list."""
 
     arm: str
+    kind: Literal["go_on"] = "go_on"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Judged:
     """Whether the grasp held; if not why, and a note."""
 
     held: bool
     cause: str
     note: str
+    kind: Literal["judged"] = "judged"
 
 
 Said = (
@@ -153,25 +166,7 @@ Said = (
     | GoOn
     | Judged
 )
-KINDS: dict[str, type[Said]] = {
-    "hello": Hello,
-    "shown": Shown,
-    "take": Take,
-    "give": Give,
-    "click": Click,
-    "place": Place,
-    "prompt": PromptAt,
-    "press": Press,
-    "beat": Beat,
-    "release": Release,
-    "hold": HoldAll,
-    "record": Record,
-    "look": Look,
-    "go_on": GoOn,
-    "judged": Judged,
-}
-
-_DECLARED = {kind: typing.get_type_hints(kind) for kind in KINDS.values()}
+_SAID: TypeAdapter[Said] = TypeAdapter(Annotated[Said, Field(discriminator="kind")])
 
 
 def parsed(text: str) -> Said:
@@ -183,48 +178,9 @@ def parsed(text: str) -> Said:
     if len(text) > LONGEST_MESSAGE:
         raise WireError("it is too long")
     try:
-        document = json.loads(text)
-    except (ValueError, RecursionError):
-        raise WireError("it is no JSON") from None
-    if not isinstance(document, dict) or not isinstance(document.get("kind"), str):
-        raise WireError("it has no kind")
-    kind = KINDS.get(document.pop("kind"))
-    if kind is None:
-        raise WireError("its kind is unknown")
-    declared = _DECLARED[kind]
-    if document.keys() != declared.keys():
-        raise WireError(f"a {kind.__name__} has {', '.join(declared) or 'no fields'}")
-    return kind(**{field.name: _value(document[field.name], declared[field.name]) for field in fields(kind)})
-
-
-def _value(value: Any, declared: Any) -> Any:
-    if isinstance(declared, types.UnionType):
-        return None if value is None else _value(value, typing.get_args(declared)[0])
-    if typing.get_origin(declared) is tuple:
-        if not isinstance(value, list) or len(value) != 2:
-            raise WireError("a pixel has two numbers")
-        return tuple(_value(each, float) for each in value)
-    if declared is float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise WireError("a number is none")
-        return _number(value)
-    if type(value) is not declared:
-        raise WireError(f"a {declared.__name__} is none")
-    if declared is str and len(value) > LONGEST_TEXT:
-        raise WireError("a text is too long")
-    if declared is int and not 0 <= value < 1 << 53:
-        raise WireError("a count is out of range")
-    return value
-
-
-def _number(value: float) -> float:
-    try:
-        number = float(value)
-    except OverflowError:
-        raise WireError("a number is out of range") from None
-    if not math.isfinite(number):
-        raise WireError("a number is not finite")
-    return number
+        return _SAID.validate_json(text)
+    except ValueError as error:
+        raise WireError(str(error)) from None
 
 
 compact = json.JSONEncoder(separators=(",", ":")).encode

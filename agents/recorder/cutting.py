@@ -1,14 +1,13 @@
 """A shorter recording out of a longer one: to show a moment to somebody, to keep what matters, to test with it.
 
-Files that are made of recordings open as a recorder's own do, and say what was done to them. `Head` is what each begins
-with, so that it can be read by itself.
+Files that are made of recordings open as a recorder's own do, and say what was done to them.
 """
 
 import contextlib
 import mimetypes
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -17,25 +16,19 @@ import schemas
 from agents.recorder.foxglove import FoxgloveCopies
 from schemas.checks import MessageError, fields_of
 from schemas.codec import decode, encode
-from schemas.messages import AgentHealth, CommandRecord, GraspGoal, GraspPlan, StereoCalibration
+from schemas.messages import CommandRecord, GraspGoal, GraspPlan
 from schemas.topics import (
-    CALIBRATION,
     COMMANDS,
-    EXECUTION,
     FRAMES,
     GOAL,
-    HEALTH,
     PLAN,
     ROBOT_STATE,
-    SIMULATOR_STATE,
     TOOL,
     Delivery,
     Topic,
     is_known,
     topic_of,
 )
-from shared.calibration.own_file import calibration_text
-from shared.calibration.stated import CalibrationError
 from shared.recording.completeness import Completeness, completeness
 from shared.recording.derivation import (
     BEFORE_AND_AFTER,
@@ -298,61 +291,3 @@ def _goal_in(record: CommandRecord) -> tuple[str, ...]:
 
 def _place(entry: Entry) -> _Place:
     return _Place(entry.key, entry.epoch, entry.sequence)
-
-
-REPEATED = (CALIBRATION, ROBOT_STATE, SIMULATOR_STATE, PLAN, EXECUTION)
-"""Of these the newest message of each key is repeated: without it, what follows cannot be understood."""
-CALIBRATION_FILE = "calibration.json"
-AGENT = "agent"
-"""A note of each agent that is heard of: its host, version and configuration."""
-
-
-@dataclass(frozen=True)
-class Attached:
-    """A file that belongs to a recording."""
-
-    name: str
-    media_type: str
-    data: bytes
-
-
-@dataclass
-class Head:
-    """Notes and attachments by what they are about, and the newest messages of what lasts."""
-
-    notes: dict[str, Note] = field(default_factory=dict[str, Note])
-    attached: dict[str, Attached] = field(default_factory=dict[str, Attached])
-    entries: dict[str, tuple[Topic, Entry]] = field(default_factory=dict[str, tuple[Topic, Entry]])
-
-    def copy(self) -> "Head":
-        """One that goes its own way from here."""
-        return Head(dict(self.notes), dict(self.attached), dict(self.entries))
-
-    def follow(self, topic: Topic, entry: Entry) -> Note | Attached | None:
-        """Remember a message; what it adds to a file that has begun."""
-        if topic in REPEATED:
-            self.entries[entry.key] = (topic, entry)
-        if topic is CALIBRATION:
-            return self._attach_calibration(entry)
-        if topic is HEALTH and f"{entry.key} {entry.epoch}" not in self.notes:
-            return self._note_agent(entry)
-        return None
-
-    def _attach_calibration(self, entry: Entry) -> Attached | None:
-        try:
-            text = calibration_text(decode(StereoCalibration, entry.payload), entry.key)
-        except (MessageError, CalibrationError):
-            return None
-        attached = Attached(CALIBRATION_FILE, "application/json", text.encode())
-        self.attached[CALIBRATION_FILE] = attached
-        return attached
-
-    def _note_agent(self, entry: Entry) -> Note | None:
-        try:
-            health = decode(AgentHealth, entry.payload)
-        except MessageError:
-            return None
-        facts = {name: str(getattr(health, name)) for name in ("agent", "instance", "host", "version", "config_hash")}
-        note = Note(AGENT, {**facts, "epoch": str(entry.epoch), "key": entry.key})
-        self.notes[f"{entry.key} {entry.epoch}"] = note
-        return note

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.recorder.cutting import Head
-from agents.recorder.parts import FileSettings, Parts, Tally
+from agents.recorder.parts import FileSettings, Head, Parts, Tally
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth, ExecutionEvent, ExecutionKind, GraspJudgement, RobotMode, RobotState, Verdict

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
 
-from agents.recorder.cutting import Attached, Head
 from agents.recorder.intake import QUEUE_LIMIT, DiskGuard, Intake, Waiting
-from agents.recorder.parts import FileSettings, Parts, Tally
+from agents.recorder.parts import Attached, FileSettings, Head, Parts, Tally
 from agents.recorder.pre_trigger import PreTrigger, PreTriggerSettings
 from schemas.topics import Topic
 from shared.clock import monotonic_s, now_ns

@@ -8,7 +8,7 @@ By default everything is published again, so that a viewer shows what there was,
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from datetime import date, datetime, time
 from fnmatch import fnmatchcase
@@ -18,9 +18,9 @@ from typing import Any
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import CommandRecord
-from schemas.topics import COMMANDS, HEARTBEAT, PLAN, TOPICS, Delivery, Topic, topic_of
+from schemas.topics import COMMANDS, HEARTBEAT, PLAN, TOPICS, Delivery, Topic, known_topic
 from shared.recording.completeness import no_message_in
-from shared.recording.mcap_file import Entry, RecordingError, read_recording
+from shared.recording.mcap_file import Entry, RecordingError, UntilDamage
 
 LONGEST_COMMAND_NS = 10 * 10**9
 
@@ -78,36 +78,17 @@ def contents_of(path: Path) -> Contents:
         OSError: where it cannot be opened.
     """
     contents, empty, begun = Contents(), True, False
-    try:
-        for entry in read_recording(path):
-            # what is repeated from before the file began is older than its first moment
-            contents.first_ns = contents.first_ns if begun else entry.received_ns
-            contents.zero_ns = contents.zero_ns if begun else entry.at_ns
-            contents.last_ns, empty, begun = entry.received_ns, False, begun or not entry.repeated
-            _count(contents, entry)
-    except RecordingError as error:
-        if empty:
-            raise
-        contents.damage = str(error)
+    recording = UntilDamage(path)
+    for entry in recording.entries():
+        # what is repeated from before the file began is older than its first moment
+        contents.first_ns = contents.first_ns if begun else entry.received_ns
+        contents.zero_ns = contents.zero_ns if begun else entry.at_ns
+        contents.last_ns, empty, begun = entry.received_ns, False, begun or not entry.repeated
+        _count(contents, entry)
     if empty:
-        raise RecordingError(no_message_in(path))
+        raise RecordingError(no_message_in(path, recording.damage))
+    contents.damage = recording.damage
     return contents
-
-
-def readable(path: Path) -> Iterator[Entry]:
-    """The messages of a recording as far as it can be read."""
-    try:
-        yield from read_recording(path)
-    except RecordingError:
-        return
-
-
-def known_topic(key: str) -> Topic | None:
-    """The topic of a key; None where the table has none."""
-    try:
-        return topic_of(key)
-    except KeyError:
-        return None
 
 
 def _count(contents: Contents, entry: Entry) -> None:

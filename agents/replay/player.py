@@ -13,9 +13,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from agents.replay.compare import Item, Message, ReadAhead
 from agents.replay.contents import PastCommand
 from agents.replay.flow import Flow, Spacing, spacing_errors_ms, spacing_of
+from agents.replay.items import Item, Message, ReadAhead
 from schemas.messages import CommandAnswer
 from schemas.topics import Topic
 from shared.clock import monotonic_s

@@ -3,8 +3,6 @@
 Diagrams are SVG.
 """
 
-import base64
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +11,7 @@ from agents.simulated_trials.look import Came
 from agents.simulated_trials.protocol import Protocol
 from agents.simulated_trials.results import Compared, Rate, Reliability, Results
 from agents.simulated_trials.table import FALLS_TO, Sweep, named, overview, sweeps
+from shared.html_page import escaped, figure, image, page, paragraph, table
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 420, 300, 45, 40
 COLOURS = ("#b04a4a", "#d9a441", "#3b6ea8", "#3f8f5b")
@@ -73,10 +72,8 @@ def _y(share: float) -> float:
 
 
 STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:1250px;padding:0 1em;color:#222}
-table{border-collapse:collapse;margin:.6em 0;font-size:13px}td,th{border:1px solid #ccc;padding:.25em .5em}
-th{background:#f3f3f3}figure{display:inline-block;margin:.5em;vertical-align:top}figcaption{max-width:600px;font-size:13px}
-code{background:#f3f3f3;padding:0 .2em}img{max-width:600px;width:100%}
+figure { display: inline-block; margin: .5em; vertical-align: top; } figcaption { max-width: 600px; }
+img { max-width: 600px; width: 100%; } svg { background: #fff; }
 """
 MOST_TOLD = 200
 
@@ -100,23 +97,20 @@ def report(
     """The page."""
     found = sweeps(every)
     parts = [
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>Grasping</title><style>{STYLE}</style>",
-        "<h1>Grasping, from images to lifted thread, simulated</h1>",
         as_html(overview(protocol, every, whole)),
         "<h2>Diagrams</h2>",
-        *([_figure(sweep_chart(found), "Success over the tool's error; dashed: 95 %.")] if found else []),
+        *([figure(sweep_chart(found), "Success over the tool's error; dashed: 95 %.")] if found else []),
         *(
-            _figure(reliability_chart(one), f"Promised and held: {named(row)}. Areas tell how many trials.")
+            figure(reliability_chart(one), f"Promised and held: {named(row)}. Areas tell how many trials.")
             for row, one in whole.reliability.items()
             if one is not None
         ),
         "<h2>Where grasps failed</h2>",
         _failures(came),
         "<h2>Fields</h2><p>Goals as dots: green held, red failed, grey declined; a line leads from the capture.</p>",
-        *(_figure(_image(picture), html.escape(picture.caption)) for picture in pictures),
-        "</html>",
+        *(figure(image(one.data, one.caption, one.mime), one.caption) for one in pictures),
     ]
-    return "\n".join(parts) + "\n"
+    return "\n".join(page("Grasping, from images to lifted thread, simulated", parts, STYLE))
 
 
 def as_html(markdown: str) -> str:
@@ -128,7 +122,8 @@ def as_html(markdown: str) -> str:
             rows.append(line)
             continue
         if rows:
-            parts.append(_table(rows))
+            cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+            parts.append(table(cells[0], cells[2:]))
             rows = []
         if line.startswith("#"):
             level = len(line) - len(line.lstrip("#"))
@@ -140,28 +135,23 @@ def as_html(markdown: str) -> str:
     return "\n".join(parts)
 
 
-def _table(rows: list[str]) -> str:
-    cells = [[_inline(cell.strip()) for cell in row.strip("|").split("|")] for row in rows]
-    head = "".join(f"<th>{cell}" for cell in cells[0])
-    body = "".join(f"<tr>{''.join(f'<td>{cell}' for cell in row)}" for row in cells[2:])
-    return f"<table><tr>{head}{body}</table>"
-
-
 def _inline(text: str) -> str:
-    pieces = html.escape(text.strip()).split("`")
+    pieces = escaped(text).split("`")
     return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))
 
 
 def _failures(came: Sequence[Came]) -> str:
     failed = [one for one in came if one.outcome != "held"]
-    rows = "".join(
-        f"<tr><td>{html.escape(one.trial.name)}<td>{one.trial.tool_error_mm:g}<td>{one.outcome}<td>"
-        f"{html.escape(one.code)}<td>{_percent(one.probability)}<td>{_mm(one.error_m)}<td>{html.escape(one.sentence)}"
+    rows = [
+        (
+            *(one.trial.name, f"{one.trial.tool_error_mm:g}", one.outcome, one.code),
+            *(_percent(one.probability), _mm(one.error_m), one.sentence),
+        )
         for one in failed[:MOST_TOLD]
-    )
-    more = f"<p>{len(failed) - MOST_TOLD} more are in the journal.</p>" if len(failed) > MOST_TOLD else ""
-    head = "<tr><th>trial<th>tool error, mm<th>outcome<th>cause<th>promised<th>error at goal, mm<th>in words"
-    return f"<table>{head}{rows}</table>{more}"
+    ]
+    heads = ("trial", " tool error, mm", "outcome", "cause", " promised", " error at goal, mm", "in words")
+    more = paragraph(f"{len(failed) - MOST_TOLD} more are in the journal.") if len(failed) > MOST_TOLD else ""
+    return table(heads, rows) + more
 
 
 def _percent(share: float | None) -> str:
@@ -170,15 +160,6 @@ def _percent(share: float | None) -> str:
 
 def _mm(length_m: float | None) -> str:
     return "-" if length_m is None else f"{1e3 * length_m:.1f}"
-
-
-def _figure(content: str, caption: str) -> str:
-    return f"<figure>{content}<figcaption>{caption}</figcaption></figure>"
-
-
-def _image(picture: Picture) -> str:
-    data = base64.b64encode(picture.data).decode()
-    return f'<img alt="" src="data:{picture.mime};base64,{data}">'
 
 
 def document(protocol: Protocol, every: list[Results], whole: Results) -> dict[str, Any]:

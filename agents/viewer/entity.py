@@ -29,6 +29,7 @@ from schemas.topics import (
 
 Entity = tuple[str, Sequence[rr.AsComponents]]
 
+SIDES = ("left", "right")
 HALF_PX = 0.5
 """Integers are pixel centres with us, and pixel corners with Rerun."""
 

@@ -9,8 +9,11 @@ world/truth                 the simulated thread as it truly is
 plan/report                 the plan, or why there is none, with what else was considered
 plan/considered/{reason}    a chart along s, with one entity for each reason, so that its legend is theirs
 plan/check                  what the planner saw after the grasp
-lanes/{arm}                 mode, phase and what was seen after it, as they change
+lanes/{arm}                 mode, phase and what was seen after it, as they change; `tail`: whether thread runs
 robot/joints, jaw_deg       of each arm
+world/tail/{arm}            free end, exit and entry of a tail, each a ball of two deviations, with how it is seen
+tail/length_mm/{arm}        its length over time, both ends of its interval, and the length that was asked for
+tail/ran_mm/{arm}           how much shorter it became, and by how much it should have by what the jaws took
 """
 
 import math
@@ -36,10 +39,11 @@ from schemas.messages import (
     RobotState,
     SimulatorState,
     Status,
+    Tail,
     ThreadReconstruction,
     Verdict,
 )
-from shared.kinematics.psm import FINGER_M, JOINT_NAMES, LARGE_NEEDLE_DRIVER, WRIST_YAW
+from shared.kinematics.psm import FINGER_M, JOINT_NAMES, LARGE_NEEDLE_DRIVER, WRIST_YAW, finger_tips
 from shared.rigid_transforms import apply
 from shared.splines import evaluate
 
@@ -142,9 +146,7 @@ def mode_entities(state: RobotState) -> list[Entity]:
 
 def finger_lines(jaw_rad: float) -> Float64[np.ndarray, "2 2 3"]:
     """Both fingers in the tool frame, from the pin to the tip, each opened by half the jaw angle about x_tool."""
-    half = 0.5 * jaw_rad * np.array([1.0, -1.0])
-    tips = FINGER_M * np.stack((np.zeros(2), np.sin(half), np.cos(half)), axis=1)
-    return np.stack((np.zeros((2, 3)), tips), axis=1)
+    return np.stack((np.zeros((2, 3)), finger_tips(jaw_rad)), axis=1)
 
 
 def shaft_line(T_base_tool: Float64[np.ndarray, "4 4"], of_psm: bool = True) -> Float64[np.ndarray, "3 3"]:
@@ -356,3 +358,37 @@ def _bar(captures: list[Capture], why: str, rgb: tuple[int, int, int]) -> rr.Bar
     s = np.array([capture.s for capture in found] or [0.0])
     percent = np.array([100.0 * capture.probability for capture in found] or [0.0])
     return rr.BarChart(percent, abscissa=s, widths=np.full(len(s), BAR_S, np.float32), color=rgb)
+
+
+LENGTHS, RUNS = ("length", "at least", "at most", "asked for"), ("tail", "jaws")
+END_SIGMAS = 2.0
+LEAST_END_MM = 0.3
+"""Of a ball that is still seen."""
+
+
+def tail_entities(tail: Tail) -> list[Entity]:
+    """The tail in one frame; one that was not measured leaves no curve there, and says why."""
+    arm = rr.escape_entity_path_part(tail.arm)
+    state = "unseen" if tail.status is not Status.OK else tail.stop.name.lower() if tail.stop else "runs"
+    entities = [lane(f"{arm}/tail", state)]
+    if tail.tail is None:
+        return [*entities, said("planner", f"tail not measured: {tail.reason}", rr.TextLogLevel.WARN)]
+    low_m, high_m = tail.tail.interval_m
+    lengths = MM_PER_METRE * np.array([tail.tail.length_m, low_m, np.nan if high_m is None else high_m, tail.tail_m])
+    names = [rr.SeriesLines(names=list(LENGTHS)), rr.Scalars(lengths)]
+    entities.append((f"tail/length_mm/{arm}", names))
+    if tail.ran_m is not None and tail.travelled_m is not None:
+        ran = MM_PER_METRE * np.array([tail.ran_m, tail.travelled_m])
+        entities.append((f"tail/ran_mm/{arm}", [rr.SeriesLines(names=list(RUNS)), rr.Scalars(ran)]))
+    ends = {"free end": tail.free_end, "exit": tail.exit, "entry": tail.entry}
+    seen = {name: end for name, end in ends.items() if end is not None}
+    wide = [END_SIGMAS * MM_PER_METRE * np.sqrt(np.linalg.eigvalsh(end.covariance)[-1]) for end in seen.values()]
+    balls = rr.Points3D(
+        [MM_PER_METRE * end.point_camera for end in seen.values()],
+        radii=np.maximum(wide, LEAST_END_MM),
+        labels=[f"{name}, {end.sight.name.lower().replace('_', ' ')}" for name, end in seen.items()],
+    )
+    entities.append((f"world/tail/{arm}", [balls]))
+    if tail.stop is not None:
+        entities.append(said("planner", f"{tail.stop.name.lower()}: {tail.sentence}", rr.TextLogLevel.WARN))
+    return entities

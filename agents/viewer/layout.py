@@ -1,6 +1,6 @@
-"""How Rerun lays out one reconstruction, and a session for what one is there for, such as operating or timing."""
+"""How Rerun lays out a session for what one is there for, such as operating or timing."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,11 +8,8 @@ import rerun.blueprint as rrb
 from jaxtyping import Float64
 
 from agents.viewer import colours
-from agents.viewer.polyline import thread_polyline
-from agents.viewer.report import unit_text
-from agents.viewer.thread_mapping import EXAGGERATION, SIDES
-from schemas.messages import ThreadReconstruction
-from shared.camera import depth_of_disparity
+from agents.viewer.entity import SIDES
+from agents.viewer.polyline import EXAGGERATION
 
 VIEWPOINT = (0.55, -0.4, -0.75)
 """Where one looks at the thread from, seen from there, as a multiple of its distance: right, above, and behind."""
@@ -36,63 +33,11 @@ FLAT = (
 """What belongs to the images alone, and would only hide the thread in space."""
 
 
-def layout(reconstruction: ThreadReconstruction) -> rrb.Blueprint:
-    """How the viewer is laid out: space to the left, both eyes and words to the right, confidence below."""
-    unit = unit_text(reconstruction.camera.metres_per_unit)
-    seen = ["world/thread/curve", "world/thread/other_course", "world/thread/ends"]
-    left = rrb.Spatial2DView(
-        origin="world/left", name="left", contents=["$origin/**", *seen, "world/observations/points"]
-    )
-    right = rrb.Spatial2DView(origin="world/right", name="right", contents=["$origin/**", *seen])
-    space = rrb.Spatial3DView(
-        origin="world",
-        name=f"space, {unit}",
-        contents=["$origin/**", *(f"- {path}" for path in FLAT)],
-        background=colours.BACKGROUND,
-        line_grid=False,
-        eye_controls=_eye_on(reconstruction),
-    )
-    chart = rrb.Tabs(
-        rrb.BarChartView(origin="deviation/along_s", name=f"deviation across the thread along s, {unit}"),
-        rrb.BarChartView(origin="confidence", name="confidence along s"),
-        rrb.Spatial2DView(origin="perception/score", name="score of the segmenter"),
-        active_tab=0 if len(reconstruction.posterior_s) else 1,
-    )
-    words = rrb.TextDocumentView(origin="report", name="report")
-    return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(space, rrb.Vertical(left, right), column_shares=[3, 2]),
-            rrb.Horizontal(chart, words, column_shares=[3, 2]),
-            row_shares=[3, 1],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="frame"),
-    )
-
-
-def distance_of(reconstruction: ThreadReconstruction) -> float:
-    """How far away things are: the thread's depth, or what one disparity of a twentieth of the width would be."""
-    thread = thread_polyline(reconstruction)
-    if thread is not None:
-        return float(np.median(thread.points_camera[:, 2]))
-    camera = reconstruction.camera
-    return float(depth_of_disparity(camera, np.array([0.05 * camera.image_width]))[0])
-
-
-def _eye_on(reconstruction: ThreadReconstruction) -> rrb.EyeControls3D:
-    """Look at the thread from behind the cameras, from the right and above, so that depth can be seen."""
-    thread = thread_polyline(reconstruction)
-    distance = distance_of(reconstruction)
-    target = np.array([0.0, 0.0, distance]) if thread is None else thread.points_camera.mean(axis=0)
-    position = target + distance * np.array(VIEWPOINT)
-    return rrb.EyeControls3D(position=position, look_target=target, eye_up=[0.0, -1.0, 0.0])
-
-
 TYPICAL_MM = 95.0
 """Where a thread is looked for before one has been seen: the middle of an endoscope's working range."""
 
-DRAWN_ON_IMAGES = ("world/thread/curve", "world/thread/other_course", "world/thread/ends", "world/shown/**")
+THREAD_DRAWN = ("world/thread/curve", "world/thread/other_course", "world/thread/ends")
+DRAWN_ON_IMAGES = (*THREAD_DRAWN, "world/shown/**")
 OF_GRASP = ("world/plan/**", "world/tool/**")
 
 HIDDEN_IN_SPACE = ("world/observations/matched", "world/thread/control_points")
@@ -128,14 +73,22 @@ class Scene:
 
 def space(scene: Scene, closer: float, without: tuple[str, ...] = ()) -> rrb.Spatial3DView:
     """Space, looked at from behind the cameras; `closer` is below 1 for an eye nearer to the thread."""
+    name, controls = f"space, {scene.unit}", middle_in_sight(scene.middle_camera, closer)
+    return space_below("world", name, controls, without=(*ONLY_ON_IMAGES, *without), hidden=HIDDEN_IN_SPACE)
+
+
+def space_below(
+    origin: str, name: str, controls: rrb.EyeControls3D, without: Iterable[str], hidden: Iterable[str] = ()
+) -> rrb.Spatial3DView:
+    """Space below an entity, but for what is left out; what is hidden can be made visible again."""
     return rrb.Spatial3DView(
-        origin="world",
-        name=f"space, {scene.unit}",
-        contents=["$origin/**", *(f"- {path}" for path in (*ONLY_ON_IMAGES, *without))],
+        origin=origin,
+        name=name,
+        contents=["$origin/**", *(f"- {path}" for path in without)],
         background=colours.BACKGROUND,
         line_grid=False,
-        overrides={path: rrb.EntityBehavior(visible=False) for path in HIDDEN_IN_SPACE},
-        eye_controls=_eye(scene.middle_camera, closer),
+        overrides={path: rrb.EntityBehavior(visible=False) for path in hidden},
+        eye_controls=controls,
     )
 
 
@@ -217,26 +170,38 @@ def dataflow() -> rrb.GraphView:
     return rrb.GraphView(origin="dataflow/graph", name="dataflow, with what is published per second")
 
 
-def _eye(middle_camera: Float64[np.ndarray, "3"] | None, closer: float) -> rrb.EyeControls3D:
-    middle = np.array([0.0, 0.0, TYPICAL_MM]) if middle_camera is None else middle_camera
-    position = middle + closer * middle[2] * np.array(VIEWPOINT)
-    return rrb.EyeControls3D(position=position, look_target=middle, eye_up=[0.0, -1.0, 0.0])
-
-
 CLOSER = 0.75
 """How much nearer than in a picture of one reconstruction the eye is: there is less room."""
+
+
+def middle_in_sight(middle_camera: Float64[np.ndarray, "3"] | None, closer: float = CLOSER) -> rrb.EyeControls3D:
+    """An eye on the middle of the thread; before one was seen, on where threads mostly are."""
+    middle = np.array([0.0, 0.0, TYPICAL_MM]) if middle_camera is None else middle_camera
+    return looking_at(middle, closer * middle[2])
+
+
+def looking_at(target: Float64[np.ndarray, "3"], distance: float) -> rrb.EyeControls3D:
+    """An eye behind the cameras, to the right and above, so that depth can be seen."""
+    position = target + distance * np.array(VIEWPOINT)
+    return rrb.EyeControls3D(position=position, look_target=target, eye_up=[0.0, -1.0, 0.0])
+
+
+def arranged(views: rrb.Container, timeline: str = "capture_time") -> rrb.Blueprint:
+    """Views without Rerun's own panels about them."""
+    return rrb.Blueprint(
+        views,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=timeline),
+    )
+
 
 DEFAULT = "operate"
 
 
 def live_layout(name: str, scene: Scene) -> rrb.Blueprint:
     """The layout of that name; all of them show the same recording, on one timeline."""
-    return rrb.Blueprint(
-        LAYOUTS[name](scene),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="capture_time"),
-    )
+    return arranged(LAYOUTS[name](scene))
 
 
 SEEING = [f"lanes/{stage}" for stage in ("perception", "reconstruction", "track")]

@@ -13,6 +13,7 @@ lanes/{agent}               its state
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import rerun as rr
@@ -30,9 +31,11 @@ from agents.viewer.grasp_mapping import (
     plan_entities,
     robot_numbers,
     robot_tool_entities,
+    tail_entities,
     truth_entities,
 )
-from agents.viewer.report import finding_text, findings
+from agents.viewer.layout import Scene
+from agents.viewer.report import finding_text, findings, unit_text
 from agents.viewer.seen_mapping import (
     candidate_entities,
     contact_entities,
@@ -57,7 +60,6 @@ from agents.viewer.session_mapping import (
     log_entities,
     said,
 )
-from agents.viewer.tail_mapping import tail_entities
 from agents.viewer.thread_mapping import (
     BACKDROP,
     camera_entities,
@@ -142,38 +144,21 @@ OBSERVED_MOST = 20
 
 
 class LiveMapping:
-    """Turns messages into entities, one after the other; remembers the camera, and what has been said before."""
+    """Turns messages into entities, one after the other; remembers the camera, and what has been said before.
+
+    Fields:
+        scene: what there is to be laid out, as far as is known.
+    """
 
     def __init__(self) -> None:
-        self._rectified = False
+        self.scene = Scene(raw_images=True)
         self._shown: tuple[RectifiedStereo, RightEye | None, float] | None = None
         self._before: dict[str, object] = {}
         self._made: dict[str, tuple[object, list[Entity]]] = {}
         self._observed: deque[ThreadObservations] = deque(maxlen=OBSERVED_MOST)
         self._considered, self._dataflow = Considered(), Dataflow()
-        self._matched = self._tracked = self._pulled = False
         self._right_eye: RightEye | None = None
         self._to_shown = IN_LINE
-
-    @property
-    def matched(self) -> bool:
-        """Whether perception matches pixels, as far as is known."""
-        return self._matched
-
-    @property
-    def tracked(self) -> bool:
-        """Whether an instrument is looked for in the images, as far as is known."""
-        return self._tracked
-
-    @property
-    def pulled(self) -> bool:
-        """Whether thread is pulled through tissue."""
-        return self._pulled
-
-    @property
-    def rectified(self) -> bool:
-        """Whether the camera's images are rectified as they come, as far as is known."""
-        return self._rectified
 
     def entities(self, message: object) -> list[Entity]:
         """What to log of a message.
@@ -183,16 +168,16 @@ class LiveMapping:
         """
         match message:
             case StereoFrame():
-                return frame_entities(message, self._rectified)
+                return frame_entities(message, not self.scene.raw_images)
             case StereoCalibration():
-                self._rectified = is_rectified(message)
+                self.scene = replace(self.scene, raw_images=not is_rectified(message))
                 return []
             case ThreadObservations():
                 return self._observations(observations_in_mm(message))
             case TissueSurface():
                 return surface_entities(message)
             case ToolCorrection():
-                self._tracked = True
+                self.scene = replace(self.scene, tracked=True)
                 changed = self._changed(f"tool of {message.arm}", (message.status, message.T_correction is None))
                 return tool_entities(message, changed)
             case ThreadReconstruction():
@@ -208,7 +193,7 @@ class LiveMapping:
             case GraspCheck():
                 return check_entities(message)
             case Tail():
-                self._pulled = True
+                self.scene = replace(self.scene, pulled=True)
                 return tail_entities(message)
             case SimulatorState():
                 shape = message.knots.tobytes(), message.control_points_camera.tobytes()
@@ -224,9 +209,10 @@ class LiveMapping:
     def _observations(self, observations: ThreadObservations) -> list[Entity]:
         self._observed.append(observations)
         # the right image is shown as the camera gives it, and was put in line before anything was found in it
-        self._right_eye = right_eye_of(observations) if self._rectified else None
+        self._right_eye = None if self.scene.raw_images else right_eye_of(observations)
         self._to_shown = from_in_line(self._right_eye, observations.camera)
-        self._matched |= len(observations.matched_px) > 0
+        if len(observations.matched_px):
+            self.scene = replace(self.scene, matched=True)
         grave = [finding_text(judgement) for judgement in findings(observations)]
         words = [said("perception", text, rr.TextLogLevel.WARN) for text in grave]
         codes = tuple(judgement.code for judgement in findings(observations))
@@ -239,13 +225,14 @@ class LiveMapping:
             *(occluder_entities(observations, self._to_shown) if self._changed("occluders", seen) else []),
             *score_entities(observations),
             *(verdict_entities(observations) if self._changed("verdict", verdict(observations)) else []),
-            *(match_entities(observations) if self._matched else []),
+            *(match_entities(observations) if self.scene.matched else []),
             *(words if self._changed("findings", codes) else []),
             *self._status("perception", observations.status, observations.reason),
         ]
 
     def _reconstruction(self, reconstruction: ThreadReconstruction) -> list[Entity]:
         self._considered.saw(reconstruction)
+        self._look_at(reconstruction)
         depths = reconstruction.control_points_camera[:, 2]
         same_frame = (observed for observed in self._observed if observed.stamp == reconstruction.stamp)
         return [
@@ -255,6 +242,16 @@ class LiveMapping:
             *self._status("reconstruction", reconstruction.status, reconstruction.reason),
             *self._track(reconstruction.track),
         ]
+
+    def _look_at(self, reconstruction: ThreadReconstruction) -> None:
+        """Turn the eye to the first thread that is seen."""
+        if reconstruction.status is not Status.OK:
+            return
+        self.scene = replace(self.scene, posterior=len(reconstruction.posterior_s) > 0)
+        if self.scene.middle_camera is None:
+            middle = np.median(reconstruction.control_points_camera, axis=0)
+            unit = unit_text(reconstruction.camera.metres_per_unit)
+            self.scene = replace(self.scene, middle_camera=middle, unit=unit)
 
     def _as_it_says(self, message: Shows) -> list[Entity]:
         """What a message says that it shows, under its agent's name."""

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.spatial import KDTree
 
 from schemas.messages import Centrelines, Status, ThreadObservations, ThreadReconstruction
-from shared import arc_length, splines
+from shared import arc_length
+from shared.along_thread import confidence_at, nearly_even, unseen_at
 from shared.camera import project
-from shared.curve_distance import CHI_SQUARE_95
+from shared.curve_distance import CHI_SQUARE_95, nearest_on_polyline
 from shared.splines import evaluate
 
 MANY_POINTS = 400
@@ -62,8 +62,8 @@ def thread_polyline(reconstruction: ThreadReconstruction, count: int = MANY_POIN
         length = arc_length.length(knots, control, degree)
         if not np.isfinite(length):
             return None
-        parameter = _even_parameters(knots, control, degree, count)
-        points = splines.evaluate(knots, control, degree, parameter)
+        parameter, _ = nearly_even(knots, control, degree, count, CHORDS_PER_SPAN)
+        points = evaluate(knots, control, degree, parameter)
     if not (np.isfinite(points).all() and (points[:, 2] > 0).all()):
         return None
     if np.ptp(points, axis=0).max() <= SMALLEST_EXTENT * np.abs(points).max():
@@ -73,24 +73,10 @@ def thread_polyline(reconstruction: ThreadReconstruction, count: int = MANY_POIN
         points_camera=points,
         parameter=parameter,
         along=along,
-        confidence=_confidence_at(reconstruction, along),
-        unseen=_unseen_at(reconstruction, along),
+        confidence=confidence_at(reconstruction, along),
+        unseen=unseen_at(reconstruction, along),
         length=length,
     )
-
-
-def _even_parameters(
-    knots: Float64[np.ndarray, "k"], control: Float64[np.ndarray, "m 3"], degree: int, count: int
-) -> Float64[np.ndarray, "n"]:
-    """Parameters of points that are evenly spaced, as exactly as can be seen: the exact ones take ten times as long."""
-    breaks = np.unique(knots)
-    spans = len(breaks) - 1
-    s = np.interp(np.arange(CHORDS_PER_SPAN * spans + 1) / CHORDS_PER_SPAN, np.arange(spans + 1), breaks)
-    # huge numbers overflow when they are squared
-    points = splines.evaluate(knots, control / (np.abs(control).max() or 1.0), degree, s)
-    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    lengths = np.concatenate(([0.0], np.cumsum(chords)))
-    return np.interp(np.linspace(0.0, lengths[-1], count), lengths, s)
 
 
 def along_at(thread: Polyline, parameter: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
@@ -104,18 +90,6 @@ def at_shares(
     """Confidence, and whether not both images show the thread, at shares of its length."""
     nearest = np.rint(along * (len(thread.along) - 1)).astype(int)
     return np.interp(along, thread.along, thread.confidence), thread.unseen[nearest]
-
-
-def _confidence_at(reconstruction: ThreadReconstruction, along: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
-    if len(reconstruction.confidence) == 0:
-        return np.full(len(along), np.nan)
-    order = np.argsort(reconstruction.confidence_s)
-    return np.interp(along, reconstruction.confidence_s[order], reconstruction.confidence[order])
-
-
-def _unseen_at(reconstruction: ThreadReconstruction, along: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    begins, ends = reconstruction.unseen[:, :1], reconstruction.unseen[:, 1:]
-    return np.logical_or.reduce((begins <= along) & (along <= ends), axis=0)
 
 
 CORNERS = 12
@@ -295,28 +269,9 @@ def closeness(found: Residuals) -> Float64[np.ndarray, "n"]:
 def _feet(
     point: Float64[np.ndarray, "n 2"], line: Float64[np.ndarray, "m 2"], along: Float64[np.ndarray, "m"]
 ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n"]]:
-    """The nearest places of a polyline: on the two pieces of it that meet in the nearest corner."""
+    """The nearest places of a polyline, and the shares of its length before them."""
     inside = np.isfinite(line).all(axis=1)
     if not len(point) or inside.sum() < 2:
         return np.full(point.shape, UNSEEN_PLACE), np.zeros(len(point))
-    line, along = line[inside], along[inside]
-    corner = np.asarray(KDTree(line).query(point)[1])
-    feet = [_foot_on_piece(point, line, along, np.clip(corner - k, 0, len(line) - 2)) for k in (1, 0)]
-    (foot, at, squared), (other, other_at, other_squared) = feet
-    nearer = squared <= other_squared
-    return np.where(nearer[:, None], foot, other), np.where(nearer, at, other_at)
-
-
-def _foot_on_piece(
-    point: Float64[np.ndarray, "n 2"],
-    line: Float64[np.ndarray, "m 2"],
-    along: Float64[np.ndarray, "m"],
-    piece: np.ndarray,
-) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
-    start, step = line[piece], line[piece + 1] - line[piece]
-    squared = np.einsum("ij,ij->i", step, step)
-    share = np.divide(np.einsum("ij,ij->i", point - start, step), squared, out=np.zeros(len(point)), where=squared > 0)
-    share = np.clip(share, 0.0, 1.0)
-    foot = start + share[:, None] * step
-    off = point - foot
-    return foot, along[piece] + share * (along[piece + 1] - along[piece]), np.einsum("ij,ij->i", off, off)
+    foot, at = nearest_on_polyline(point, line[inside])
+    return foot, np.interp(at, np.arange(inside.sum()), along[inside])

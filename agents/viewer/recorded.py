@@ -18,7 +18,7 @@ from agents.viewer.layout import Scene, live_layout
 from agents.viewer.live import ViewerReport, report_of
 from agents.viewer.showing import Showing
 from agents.viewer.sinks import Layout, Sink, ViewerError, file_sink, open_page, served_sink, window_sink
-from schemas.topics import FRAMES, Delivery, topic_of
+from schemas.topics import FRAMES, known_topic
 from shared.recording.mcap_file import Entry
 from shared.runtime.attachment import Attachment
 from shared.runtime.taps import Tapped
@@ -152,34 +152,8 @@ class RecordedViewer:
 
 def tapped_of(entry: Entry) -> Tapped | None:
     """A recorded message as it travelled; None where the table of topics does not have its key."""
-    try:
-        topic = topic_of(entry.key)
-    except KeyError:
+    topic = known_topic(entry.key)
+    if topic is None:
         return None
-    return Tapped(
-        topic, entry.key, entry.payload, Attachment(entry.epoch, entry.sequence, entry.published_ns, UNKNOWN_MS)
-    )
-
-
-def between(entries: Iterator[Entry], from_s: float | None, to_s: float | None) -> Iterator[Entry]:
-    """The entries received so many seconds after the first one was published; and what still holds from before.
-
-    That is the last value of each key that lasts (the calibration): without it, later frames mean nothing.
-    """
-    begin_ns: int | None = None
-    lasting: dict[str, Entry] = {}
-    for entry in entries:
-        # what is repeated from before the file began is older than its first moment
-        if begin_ns is None and not entry.repeated:
-            begin_ns = entry.at_ns
-        at_s = 0.0 if begin_ns is None else 1e-9 * (entry.received_ns - begin_ns)
-        if from_s is not None and at_s < from_s:
-            tapped = tapped_of(entry)
-            if tapped is not None and tapped.topic.delivery is Delivery.STATE:
-                lasting[entry.key] = entry
-            continue
-        if to_s is not None and at_s > to_s:
-            return
-        yield from lasting.values()
-        lasting.clear()
-        yield entry
+    beside = Attachment(entry.epoch, entry.sequence, entry.published_ns, UNKNOWN_MS)
+    return Tapped(topic, entry.key, entry.payload, beside)

@@ -23,6 +23,8 @@ world/left/tool/{arm}/registered    an instrument's outline by registration and 
 world/left|right/tool/{arm}/found   its outline with the correction
 tool/off/{arm}, deviation/{arm}     how far its tip is from where it is registered, and how sure that is
 lanes/tool_{arm}                    searched for, followed, lost
+
+`to_shown` leads from pixels of the right image in line to those of the one that is shown.
 """
 
 import cv2
@@ -31,7 +33,7 @@ import rerun as rr
 from jaxtyping import Bool, Float64, UInt8
 
 from agents.viewer import colours
-from agents.viewer.entity import HALF_PX, MM_PER_METRE, Entity, camera_in_mm
+from agents.viewer.entity import HALF_PX, MM_PER_METRE, SIDES, Entity, camera_in_mm
 from agents.viewer.image_pane import decoded_mask, enlarged
 from agents.viewer.report import finding_text, findings, stereo_text, threads_text
 from agents.viewer.session_mapping import lane, said
@@ -84,7 +86,6 @@ def coverage(mask: Image) -> UInt8[np.ndarray, "h w"]:
     return coverage
 
 
-SIDES = ("left", "right")
 OPACITY = 60
 """Of 255."""
 LARGEST_PIXELS = 1 << 26
@@ -93,11 +94,7 @@ THICK = 1.2
 
 
 def candidate_entities(observations: ThreadObservations, to_shown: Affine = IN_LINE) -> list[Entity]:
-    """Every candidate as a line of its own colour, with its number and score in the left image.
-
-    Args:
-        to_shown: from pixels of the right image in line to those of the one that is shown.
-    """
+    """Every candidate as a line of its own colour, with its number and score in the left image."""
     listed = observations.candidates
     return [
         ("world/left/candidates", [_lines([c.left_px for c in listed])]),
@@ -107,11 +104,7 @@ def candidate_entities(observations: ThreadObservations, to_shown: Affine = IN_L
 
 
 def occluder_entities(observations: ThreadObservations, to_shown: Affine = IN_LINE) -> list[Entity]:
-    """Regions that may hide thread, over each image; empty where there are none.
-
-    Args:
-        to_shown: from pixels of the right image in line to those of the one that is shown.
-    """
+    """Regions that may hide thread, over each image; empty where there are none."""
     found = observations.occluders
     maps = (None, IN_LINE), (None, IN_LINE)
     if found is not None:

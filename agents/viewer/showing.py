@@ -5,12 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from agents.viewer.entity import BY_FRAME, Entity, Moment, Thinning, reconstruction_in_mm
+from agents.viewer.entity import BY_FRAME, Entity, Moment, Thinning
 from agents.viewer.layout import DEFAULT, Scene, live_layout
 from agents.viewer.live_mapping import LiveMapping
-from agents.viewer.report import unit_text
 from agents.viewer.session_mapping import (
     Arrivals,
     StageTimes,
@@ -50,8 +47,8 @@ class Showing:
         self._to_sinks = to_sinks
         self._mapping, self._thinning = LiveMapping(), Thinning() if thin else None
         self._stages, self._arrivals = StageTimes(), Arrivals()
-        self._layout, self._scene = layout, Scene()
-        self._laid_out: dict[str, bool] = {}
+        self._layout = layout
+        self._laid_out: Scene | None = None
         self.shown: Counter[str] = Counter()
         self.thinned: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
@@ -112,7 +109,7 @@ class Showing:
             stage_ms = self._saw(tapped, moment.frame, published_ns)
             entities += latency_entities(tapped.topic, moment.capture_ns, tapped.beside, stage_ms)
         if isinstance(message, ThreadReconstruction) and message.status is Status.OK:
-            self._lay_out(message)
+            self._lay_out()
         if not self._begun:
             self._begun = True
             entities += [*nothing_yet(), *(said(RECORDING, sentence) for sentence in self._told)]
@@ -125,20 +122,14 @@ class Showing:
         """Note when a stage published its result; milliseconds since its input was published, where that is known."""
         return self._stages.saw(tapped.topic, frame, published_ns) if tapped.beside else None
 
-    def _lay_out(self, reconstruction: ThreadReconstruction) -> None:
-        """Turn the eye to the first thread that is seen, and make room for what this session has."""
-        thread, scene = reconstruction_in_mm(reconstruction), self._scene
-        if scene.middle_camera is None:
-            middle = np.median(thread.control_points_camera, axis=0)
-            scene = replace(scene, middle_camera=middle, unit=unit_text(thread.camera.metres_per_unit))
-        posterior = len(thread.posterior_s) > 0
-        has = {"raw_images": not self._mapping.rectified, "matched": self._mapping.matched, "posterior": posterior}
-        has |= {"tracked": self._mapping.tracked, "pulled": self._mapping.pulled}
-        if self._laid_out == has:
-            return
-        self._laid_out, self._scene = has, replace(scene, **has)
-        layout = live_layout(self._layout, self._scene)
-        self._to_sinks(lambda sink: sink.lay_out(layout))
+    def _lay_out(self) -> None:
+        """Make room for what this session has, where that is more than before."""
+        scene = self._mapping.scene
+        has = replace(scene, middle_camera=None)
+        if has != self._laid_out:
+            self._laid_out = has
+            layout = live_layout(self._layout, scene)
+            self._to_sinks(lambda sink: sink.lay_out(layout))
 
     def _log(self, moment: Moment, entities: list[Entity]) -> None:
         if entities:

@@ -286,11 +286,8 @@ def open_window(address: str) -> subprocess.Popen[bytes]:
     Raises:
         ViewerError: where there is no screen, or no window opens.
     """
-    return _open(["--port", str(free_port()), address], f"; elsewhere, run: rerun {address}")
-
-
-def _open(arguments: list[str], remedy: str) -> subprocess.Popen[bytes]:
-    window = _started(arguments, remedy)
+    remedy = f"; elsewhere, run: rerun {address}"
+    window = _started(["--port", str(free_port()), address], remedy)
     try:
         window.wait(WINDOW_OPENS_S)
     except subprocess.TimeoutExpired:

@@ -18,10 +18,10 @@ Curve, tube and whiskers have the colours of confidence: whiskers are green wher
 the thread's image, and red where it runs along its edge or farther out. Thread that not both images show is grey.
 
 Each function turns one message into entity paths with what to log there. A message always gives the same paths, so that
-a failed frame empties what the frame before it showed.
+a failed frame empties what the frame before it showed. `to_shown` leads from pixels of the right image in line to those
+of the one that is shown.
 """
 
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -31,7 +31,7 @@ import rerun as rr
 from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
-from agents.viewer.entity import HALF_PX, LAST_FRAME, Entity
+from agents.viewer.entity import HALF_PX, SIDES, Entity
 from agents.viewer.polyline import (
     CORNERS,
     EXAGGERATION,
@@ -49,7 +49,6 @@ from agents.viewer.polyline import (
 from agents.viewer.report import markdown, missed
 from schemas.messages import (
     Centrelines,
-    FrameStamp,
     RectifiedStereo,
     ReliabilityRegions,
     RightEye,
@@ -90,8 +89,6 @@ WHISKERS_ABOUT = 300
 """Whiskers in each image; neighbouring points of a centreline err alike."""
 
 TUBE_OPACITY = 120
-
-SIDES = ("left", "right")
 
 
 def curve_looks() -> list[Entity]:
@@ -140,11 +137,7 @@ def posterior_entities(sections: CrossSections) -> list[Entity]:
 def residual_entities(
     observations: ThreadObservations | None, thread: Polyline | None, to_shown: Affine = IN_LINE
 ) -> list[Entity]:
-    """The residuals in both images, in pixels and in numbers; empty where there is no thread, or nothing to compare.
-
-    Args:
-        to_shown: from pixels of the right image in line to those of the one that is shown.
-    """
+    """The residuals in both images, in pixels and in numbers; empty where there is no thread, or nothing to compare."""
     share = None if thread is None else float(thread.unseen.mean())
     entities: list[Entity] = [("share/unseen", [_scalar(share)])]
     found = (None, None) if observations is None or thread is None else both_residuals(observations, thread)
@@ -243,22 +236,14 @@ def image_entities(left_bgr: UInt8[np.ndarray, "h w *c"], right_bgr: UInt8[np.nd
 def mask_entities(
     left: UInt8[np.ndarray, "h w"] | None, right: UInt8[np.ndarray, "h w"] | None, to_shown: Affine = IN_LINE
 ) -> list[Entity]:
-    """The outlines of both masks, given their coverage: they cost a viewer little, and hide nothing of the thread.
-
-    Args:
-        to_shown: from pixels of the right image in line to those of the one that is shown.
-    """
+    """The outlines of both masks, given their coverage: they cost a viewer little, and hide nothing of the thread."""
     return [("world/left/mask", [_outline(left)]), ("world/right/mask", [_outline(right, to_shown)])]
 
 
 def observation_entities(
     observations: ThreadObservations, most_matched: int | None = None, to_shown: Affine = IN_LINE
 ) -> list[Entity]:
-    """The observations with their bounds in the left image, and the matched pixels in space, or that many of them.
-
-    Args:
-        to_shown: from pixels of the right image in line to those of the one that is shown.
-    """
+    """The observations with their bounds in the left image, and the matched pixels in space, or that many of them."""
     points, camera = observations.points_camera, observations.camera
     observed_px, _ = project(camera, points)
     matched = observations.matched_px[observations.inlier & (observations.matched_px[:, 2] > 0)]
@@ -307,15 +292,6 @@ def report_entities(observations: ThreadObservations, reconstruction: ThreadReco
     """Status, facts and judgements as a document."""
     text = markdown(observations, reconstruction, thread_polyline(reconstruction))
     return [("report", [rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)])]
-
-
-def log(recording: rr.RecordingStream, stamp: FrameStamp, entities: Iterable[Entity]) -> None:
-    """Log entities at the capture time of their frame."""
-    recording.set_time("capture_time", timestamp=np.datetime64(stamp.capture_left_ns, "ns"))
-    recording.set_time("frame", sequence=min(stamp.sequence, LAST_FRAME))
-    for path, archetypes in entities:
-        for archetype in archetypes:
-            recording.log(path, archetype)
 
 
 def region_edges(camera: RectifiedStereo, regions: ReliabilityRegions) -> Float64[np.ndarray, "n 16 3"]:

@@ -19,7 +19,7 @@ their stamps jitter by is not the motion's.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -28,6 +28,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 from scipy.ndimage import median_filter, uniform_filter1d
+
+from schemas.messages import RobotState
 
 WIDTH_PX = 480
 """Images are looked at in this width."""
@@ -82,6 +84,16 @@ class ToolMotion:
         """f of the equation, in metres."""
         T = self.T_base_tool
         return np.column_stack((T[:, :3, 3], AXIS_M * T[:, :3, 0], AXIS_M * T[:, :3, 2], JAW_M * self.jaw_rad))
+
+
+def motion_of(states: Mapping[int, RobotState]) -> ToolMotion:
+    """The tool's motion, from the states of an arm by when they were measured."""
+    ordered = [states[at_ns] for at_ns in sorted(states)]
+    return ToolMotion(
+        np.array([state.measured_ns * 1e-9 for state in ordered]),
+        np.array([state.T_base_tool for state in ordered]),
+        np.array([state.jaw_rad for state in ordered]),
+    )
 
 
 @dataclass(frozen=True)

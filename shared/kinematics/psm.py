@@ -38,6 +38,13 @@ JOINT_NAMES = ("yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw")
 FINGER_M = 0.0102
 """From the pin to the tip of a finger."""
 
+
+def finger_tips(jaw_rad: float) -> Float64[np.ndarray, "2 3"]:
+    """The tips of both fingers in the tool frame, in metres: each is opened by half the jaw's angle about x_tool."""
+    half = 0.5 * jaw_rad * np.array([1.0, -1.0])
+    return FINGER_M * np.stack((np.zeros(2), np.sin(half), np.cos(half)), axis=1)
+
+
 _ROTATION_TOLERANCE = 1e-6
 _LIMIT_TOLERANCE = 1e-9
 """Rounding of the inverse at a limit does not make a pose unreachable."""

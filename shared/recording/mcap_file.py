@@ -12,7 +12,7 @@ from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, BinaryIO, cast
+from typing import IO, Any, BinaryIO, cast
 
 import lz4.frame
 import zstandard
@@ -23,8 +23,10 @@ from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
+from schemas.checks import MessageError
+from schemas.codec import decode
 from schemas.migrations import NewerVersionError, Version, check_readable, lifted, lifted_key, version_of
-from schemas.topics import topic_of
+from schemas.topics import Topic, known_topic
 from shared.recording.entry import PROFILE, Entry, Note, RecordingError
 from shared.recording.writer import RecordingWriter
 
@@ -103,6 +105,18 @@ class UntilDamage:
                 raise
             self.damage = str(error)
 
+    def entries(self) -> Iterator[Entry]:
+        """The messages alone."""
+        return (record for record in self if isinstance(record, Entry))
+
+    def messages(self, *topics: Topic) -> Iterator[tuple[Entry, Any]]:
+        """What these topics hold, decoded; messages that cannot be read are left out."""
+        for entry in self.entries():
+            topic = known_topic(entry.key)
+            if topic in topics:
+                with contextlib.suppress(MessageError):
+                    yield entry, decode(topic.message, entry.payload)
+
 
 def recorded_by(path: Path) -> Version:
     """The version of the program that recorded a file; its messages are read as those of this version.
@@ -130,12 +144,8 @@ def read_notes(path: Path, name: str) -> dict[str, str] | None:
     Raises:
         RecordingError, OSError: as `read_recording`.
     """
-    found: dict[str, str] | None = None
-    with _damage_named(path):
-        for record in _records(path):
-            if isinstance(record, Metadata) and record.name == name:
-                found = record.metadata
-    return found
+    found = [note.facts for note in read_with_notes(path) if isinstance(note, Note) and note.name == name]
+    return found[-1] if found else None
 
 
 def finished_notes(path: Path) -> list[Note]:
@@ -268,11 +278,9 @@ def _damaged(path: Path) -> str:
 def _entry(channel: Channel, message: Message, version: Version) -> Entry:
     epoch, repeated = int(channel.metadata[EPOCH]), "repeated" in channel.metadata
     key = lifted_key(channel.topic)
-    try:
-        payload = lifted(topic_of(key).message.__name__, message.data, version)
-    except KeyError:
-        # a topic that there no longer is: whoever reads says so
-        payload = message.data
+    topic = known_topic(key)
+    # of a topic that there no longer is, whoever reads says so
+    payload = message.data if topic is None else lifted(topic.message.__name__, message.data, version)
     return Entry(key, epoch, message.sequence, payload, message.publish_time, message.log_time, repeated)
 
 

@@ -22,7 +22,7 @@ from shared.runtime.commands import new_header
 from shared.runtime.connection import connected
 from shared.runtime.replay import replay
 from shared.runtime.session import SessionSettings
-from tests.agents.inspection.conftest import plan as example
+from tests.agents.session_report.conftest import plan as example
 from tests.replay.conftest import of
 
 ATTEMPTS = 5

@@ -3,7 +3,6 @@
 The pictures show corners with their residuals, where corners were seen, and rectified rows.
 """
 
-import html
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.checking import Checked
 from shared.calibration.estimation.coverage import LEAST_IN_CELL, coverage, lacking
 from shared.calibration.estimation.estimate import Estimate, rms
+from shared.html_page import figure, page, paragraph, table
 from shared.rectification import rectification, rectify_image
 from shared.units import unit_name
 
@@ -85,9 +85,8 @@ def _pixel(at: Float64[np.ndarray, "2"]) -> tuple[int, int]:
 
 
 RECTIFIED_VIEWS = 2
-STYLE = """body{font-family:system-ui,sans-serif;max-width:1560px;margin:2em auto;padding:0 1em;color-scheme:light dark}
-table{border-collapse:collapse}td,th{padding:.2em .8em;text-align:right;border-bottom:1px solid #8884}
-td:first-child,th:first-child{text-align:left}img{max-width:100%}figure{margin:1em 0}"""
+PICTURES_BESIDE = "script-src 'none'; style-src 'unsafe-inline'"
+"""The page's policy: its pictures are files beside it, which browsers do not take for its own."""
 
 Row = tuple[str, ...]
 
@@ -100,32 +99,30 @@ def write_report(folder: Path, board: Board, seen: Seen, estimate: Estimate, apa
     for name, (picture, _) in drawn.items():
         (pictures / name).write_bytes(cv2.imencode(".png", picture)[1].tobytes())
     captions = {name: caption for name, (_, caption) in drawn.items()}
-    page = folder / "report.html"
-    page.write_text("".join(_page(board, seen, estimate, apart, captions)), encoding="utf-8")
-    return page
+    path = folder / "report.html"
+    parts = page("Stereo calibration", _parts(board, seen, estimate, apart, captions), policy=PICTURES_BESIDE)
+    path.write_text("".join(parts), encoding="utf-8")
+    return path
 
 
-def _page(
+def _parts(
     board: Board, seen: Seen, estimate: Estimate, apart: tuple[Checked, ...], captions: dict[str, str]
 ) -> Iterator[str]:
-    yield f"<!doctype html><html lang=en><meta charset=utf-8><title>Stereo calibration</title><style>{STYLE}</style>"
-    yield "<h1>Stereo calibration</h1>"
-    yield _table(("", "left", "right"), _cameras(estimate))
-    yield _table(("from left to right", "", "", ""), _between(estimate))
+    yield table(("", " left", " right"), _cameras(estimate))
+    yield table(("from left to right", " ", " ", " "), _between(estimate))
     missing = lacking(coverage(estimate.views, board, seen.image_size))
     yield "<h2>What the views lack</h2>"
-    yield "".join(f"<p>{html.escape(sentence)}</p>" for sentence in missing) or "<p>Nothing.</p>"
+    yield from map(paragraph, missing or ["Nothing."])
     yield "<h2>Views</h2><p>Residuals are root mean squares. Held out: of a calibration made without that view.</p>"
-    heads = ("view", "corners", "left, px", "right, px", "held out, px", "rows apart, px", "squares")
-    yield _table(heads, _views(estimate, apart))
+    heads = ("view", " corners", " left, px", " right, px", " held out, px", " rows apart, px", " squares")
+    yield table(heads, _views(estimate, apart))
     for name, px in estimate.left_out:
-        yield f"<p>Left out, for it contradicts the others by {px:.2f} px: {html.escape(name)}</p>"
+        yield paragraph(f"Left out, for it contradicts the others by {px:.2f} px: {name}")
     for no_view in seen.none:
-        yield f"<p>Not used: {html.escape(no_view.name)}: {html.escape(no_view.reason)}</p>"
+        yield paragraph(f"Not used: {no_view.name}: {no_view.reason}")
     yield "<h2>Pictures</h2>"
     for name, caption in captions.items():
-        yield f'<figure><figcaption>{html.escape(caption)}</figcaption><img src="pictures/{name}"></figure>'
-    yield "</html>\n"
+        yield figure(f'<img src="pictures/{name}" alt="">', caption)
 
 
 def _cameras(estimate: Estimate) -> Iterator[Row]:
@@ -180,10 +177,3 @@ def _pictures(board: Board, seen: Seen, estimate: Estimate) -> Iterator[tuple[st
 def _images(seen: Seen, name: str) -> tuple[np.ndarray, np.ndarray]:
     first, second = seen.files[name]
     return read_side_by_side(first) if second is None else read_pair(first, second)
-
-
-def _table(heads: Row, rows: Iterator[Row]) -> str:
-    def line(cells: Row, tag: str) -> str:
-        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
-
-    return f"<table>{line(heads, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"

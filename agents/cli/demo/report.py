@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from agents.inspection.accounts import StageTimes, captured_ns
 from agents.launch.session_folder import SessionFolder
+from agents.session_report.stages import StageTimes, captured_ns
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from agents.cli.places import check_folder
 from agents.cli.recordings.options import Export
-from agents.inspection.export import export
 from agents.launch.process import EXIT_DAMAGED, EXIT_OK
+from agents.session_report.export import export
 from shared.recording.entry import RecordingError
 from shared.terminal import UsageError, complain, say, warn
 

@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import schemas
 from agents.configuration.rig import RecorderSection, RigConfig
-from agents.recorder.cutting import Attached
+from agents.recorder.parts import Attached
 from schemas.wire import schemas_hash
 from shared.clock import now_ns
 from shared.recording.entry import Note

@@ -10,14 +10,14 @@ from pathlib import Path
 from agents.cli.places import check_outputs
 from agents.cli.recordings.options import Inspect
 from agents.cli.whole_file import whole_file
-from agents.inspection.comparison import comparison_tables
-from agents.inspection.document import document, lines, names_of
-from agents.inspection.page import comparison_page, session_page
-from agents.inspection.pictures import pictures_of
-from agents.inspection.session import Session, read_session
-from agents.inspection.tables import head_lines, session_tables
-from agents.inspection.time_offsets import ArmOffset, offset_table, time_offsets
 from agents.launch.process import EXIT_DAMAGED, EXIT_OK
+from agents.session_report.comparison import comparison_tables
+from agents.session_report.document import document, lines, names_of
+from agents.session_report.page import comparison_page, session_page
+from agents.session_report.pictures import pictures_of
+from agents.session_report.session import Session, read_session
+from agents.session_report.tables import head_lines, session_tables
+from agents.session_report.time_offsets import ArmOffset, offset_table, time_offsets
 from shared.terminal import UsageError, show, warn
 
 

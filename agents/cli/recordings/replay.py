@@ -9,21 +9,21 @@ from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_keys import steered
 from agents.configuration.rig import RigConfig, simulated_rig
 from agents.launch.process import EXIT_DAMAGED, EXIT_OK, on_stop
-from agents.replay.compare import items
 from agents.replay.contents import (
     Contents,
     Selection,
     contents_of,
     name_of,
-    readable,
     select,
     window_ns,
 )
 from agents.replay.flow import Flow, StuckError
+from agents.replay.items import items
 from agents.replay.player import Controls, Played, Player
 from schemas.messages import Outcome
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness
+from shared.recording.mcap_file import UntilDamage
 from shared.runtime.config import load_config
 from shared.runtime.republishing import REPLAY, Republisher, republishing
 from shared.runtime.session import SessionSettings
@@ -69,7 +69,9 @@ def run(options: Replay) -> int:
             try:
                 began_s = monotonic_s()
                 while not controls.stopped:
-                    source = items(readable(options.recording), selection.keys, commands, window, settings.rig)
+                    source = items(
+                        UntilDamage(options.recording).entries(), selection.keys, commands, window, settings.rig
+                    )
                     player.play(source, window[0])
                     if not options.loop:
                         break

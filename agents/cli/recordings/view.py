@@ -15,13 +15,14 @@ from agents.launch.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUS
 from agents.launch.session_folder import free_path
 from agents.replay.contents import moment_ns
 from agents.viewer.live import LiveViewer, ViewerReport
-from agents.viewer.recorded import RecordedViewer, between
+from agents.viewer.recorded import RecordedViewer
 from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD
 from schemas.topics import TOPICS
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness
 from shared.recording.derivation import derivations
 from shared.recording.mcap_file import Note, RecordingError, UntilDamage, is_finished, read_recording
+from shared.recording.stretch import stretch
 from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.process import serving
 from shared.terminal import UsageError, complain, say, show
@@ -78,13 +79,13 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
         raise UsageError(NO_FILE)
     size = recording.stat().st_size
     # what is no recording is told before a window opens
-    from_s, to_s = _seconds(options, recording)
+    from_ns, to_ns = _moments(options, recording)
     told = _told_before(recording)
     layout, session_id = options.layout, str(recording.resolve())
     viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin, told)
     for note in (*viewer.notes, *told):
         say(note)
-    viewer.show(between(read_recording(recording), from_s, to_s))
+    viewer.show(stretch(read_recording(recording), from_ns, to_ns))
     _follow(viewer, size, began_s, stopped)
     cut_short = "" if viewer.finished.is_set() else "the window was closed" if viewer.window_closed else "stopped"
     if viewer.served and not cut_short:
@@ -103,8 +104,8 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
     return EXIT_OK
 
 
-def _seconds(options: View, recording: Path) -> tuple[float | None, float | None]:
-    """Where to begin and to end, in seconds from the recording's start.
+def _moments(options: View, recording: Path) -> tuple[int | None, int | None]:
+    """Where to begin and to end.
 
     Raises:
         RecordingError, OSError: where there is no recording.
@@ -112,11 +113,11 @@ def _seconds(options: View, recording: Path) -> tuple[float | None, float | None
     """
     first = next((entry for entry in read_recording(recording) if not entry.repeated), None)
     begin_ns = 0 if first is None else first.at_ns
-    from_s, to_s = (
-        None if written is None else 1e-9 * (moment_ns(option, written, begin_ns) - begin_ns)
+    from_ns, to_ns = (
+        None if written is None else moment_ns(option, written, begin_ns)
         for option, written in (("--from", options.from_), ("--to", options.to))
     )
-    return from_s, to_s
+    return from_ns, to_ns
 
 
 def _told_before(recording: Path) -> list[str]:

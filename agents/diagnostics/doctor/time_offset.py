@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.diagnostics.doctor.finding import UNKNOWN, Finding
-from agents.inspection.time_offsets import motion_of
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RobotState, StereoFrame
 from schemas.topics import FRAMES, ROBOT_STATE
-from shared.calibration.time_offset import TOO_LITTLE, Window, time_offset, windows_of
+from shared.calibration.time_offset import TOO_LITTLE, Window, motion_of, time_offset, windows_of
 from shared.images import ImageDataError, decode_image
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped

@@ -19,7 +19,7 @@ let asked = { s: 0.5, ms: -Infinity };
 const plans = {};
 const panel = new Panel($);
 const picture = new Picture($("picture"), (header) => {
-  link.say("shown", { frame: header.frame, at_ms: nowMs() });
+  link.say("shown", { frame: header.frame });
   requestAnimationFrame(() => {
     // the turn after the one that drew it: by now it is on the screen
     presented.push([header.frame, header.capture_ms, nowMs(), header.thread_frame ?? -1]);

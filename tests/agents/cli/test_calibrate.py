@@ -61,8 +61,8 @@ def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, 
     page = (out / "report.html").read_text()
     drawn = [path.name for path in (out / "pictures").iterdir()]
     assert len(drawn) == VIEWS + 3 and all(f'src="pictures/{name}"' in page for name in drawn)
-    (of_one,) = re.findall(r"<tr><td>4\.png</td><td>\d+</td>(.*?)</tr>", page)
-    told = re.findall(r"<td>(.*?)</td>", of_one)
+    (of_one,) = re.findall(r'<tr><td>4\.png</td><td class="figure">\d+</td>(.*?)</tr>', page)
+    told = re.findall(r"<td[^>]*>(.*?)</td>", of_one)
     assert len(told) == 5 and all(told), "its residuals, and what was found by a calibration made without it"
     assert "on views held out: reprojection" in ended.out
     assert "more would make it surer" in ended.err

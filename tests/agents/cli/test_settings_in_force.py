@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from agents.cli.main import main
 from agents.cli.recordings.config import attached_config, changed, in_force, settings_otherwise
 from agents.configuration.rig import simulated_rig
-from agents.inspection.table import decimal
 from agents.launch.process import EXIT_UNUSABLE
+from agents.session_report.table import decimal
 from shared.recording.completeness import completeness
 from tests.agents.cli.conftest import REPOSITORY
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from agents.diagnostics.doctor.time_offset import Watch, finding
-from agents.inspection.time_offsets import time_offsets
+from agents.session_report.time_offsets import time_offsets
 from schemas.messages import ImageEncoding, RobotMode, RobotState, StereoFrame
 from schemas.topics import FRAMES, ROBOT_STATE
 from shared.calibration.time_offset import windows_of
 from shared.images import encode_image
-from tests.agents.inspection.conftest import Maker, ns, stamp
+from tests.agents.session_report.conftest import Maker, ns, stamp
 from tests.shared.calibration.test_time_offset import Moves, measured, video
 
 MOVES = Moves(2)

@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.operator.choosing import WITHIN_PX, at_place, snapped
-from agents.operator.drawn import MOST_STEPS, PLACES, draw_surface, draw_thread, evenly, way_of
+from agents.operator.drawn import MOST_STEPS, PLACES, draw_surface, draw_thread, way_of
 from agents.operator.pictures import FAST_MS, JUDGED_AFTER, LEVELS, SLOW_MS, Pace, due, encoded
 from schemas.messages import FrameStamp, ImageEncoding, Phase, TissueSurface, Waypoint
-from shared import arc_length, splines
 from shared.images import decode_image, encode_image
 from tests.agents.operator.by_hand import CAMERA, thread_at
 
@@ -47,17 +46,6 @@ def test_the_thread_is_drawn_evenly_with_its_confidence_and_what_is_unseen():
     unknown = drawn(camera=replace(CAMERA, metres_per_unit=None))
     assert unknown.document()["unit_known"] is False
     assert snapped(unknown, (480.0, 280.0))[0].off_mm is None
-
-
-def test_places_are_as_even_as_arc_length_has_them():
-    control = np.array(
-        [[-20.0, 0, 80], [-15, 9, 78], [-1, -12, 84], [3, 11, 90], [11, -3, 80], [12, 4, 70], [25, 0, 80]]
-    )
-    knots = splines.clamped_uniform_knots(len(control))
-    points, length = evenly(knots, control, 3, PLACES)
-    assert length == pytest.approx(arc_length.length(knots, control, 3), rel=1e-4)
-    exact = splines.evaluate(knots, control, 3, arc_length.even_parameters(knots, control, 3, PLACES))
-    assert np.abs(points - exact).max() < 2e-3, "mm, of 90"
 
 
 def test_a_click_lands_on_the_nearest_place_and_tells_how_far_that_is_and_of_another_strand_that_is_as_near():

@@ -7,6 +7,7 @@ import json
 import random
 import ssl
 import struct
+import typing
 
 import aiohttp
 import pytest
@@ -17,7 +18,7 @@ from agents.cli.page.options import Page
 from agents.configuration.rig import simulated_rig
 from agents.operator.load import Processors
 from agents.operator.operator import ask_for_grasp
-from agents.operator.wire import KINDS
+from agents.operator.wire import Said
 from schemas.codec import decode
 from schemas.messages import Arm, CommandRecord, ExecutionEvent, ExecutionKind, Heartbeat, Policy
 from schemas.topics import COMMANDS, EXECUTION, HEARTBEAT, ROBOT_STATE
@@ -60,7 +61,7 @@ class Client:
                     header = json.loads(message.data[4 : 4 + length])
                     assert message.data[4 + length :][:2] == b"\xff\xd8"
                     self.echoes = header["echoes"]
-                    await self.say("shown", frame=header["frame"], at_ms=0)
+                    await self.say("shown", frame=header["frame"])
                     continue
                 assert message.type is aiohttp.WSMsgType.TEXT, message
                 said = json.loads(message.data)
@@ -351,7 +352,7 @@ def test_what_is_hostile_gets_no_command_through(serve):
                     assert (await socket.receive()).type is aiohttp.WSMsgType.CLOSE
             for _ in range(HOSTILE // 3):
                 async with session.ws_connect(f"{address}ws", headers=ours) as socket:
-                    kind = rng.choice(list(KINDS))
+                    kind = rng.choice([said.kind for said in typing.get_args(Said)])
                     with contextlib.suppress(ConnectionError):
                         await socket.send_str(json.dumps({"kind": kind, "arm": "psm1", "plan_id": "x", "s": 0.5}))
                         await socket.send_bytes(rng.randbytes(50))

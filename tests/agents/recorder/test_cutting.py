@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from agents.cli.main import main
-from agents.inspection.session import read_session
 from agents.recorder.cutting import cut
+from agents.session_report.session import read_session
 from schemas.codec import decode, encode
 from schemas.messages import Consumed, RobotState
 from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, THREAD, key
@@ -19,7 +19,7 @@ from shared.recording.entry import Entry
 from shared.recording.losses import COMPLETE, LOSSES, LOST
 from shared.recording.mcap_file import read_attachments, read_notes, read_recording
 from shared.recording.writer import RecordingWriter
-from tests.agents.inspection.conftest import Maker, calibration, frame, made, ns, robot_state, thread
+from tests.agents.session_report.conftest import Maker, calibration, frame, made, ns, robot_state, thread
 
 COUNT, EVERY = 20, 3
 FRAMES_KEY = key("lab", FRAMES)

@@ -1,7 +1,6 @@
 """A recording in several files, each of which opens by itself."""
 
-from agents.recorder.cutting import Attached
-from agents.recorder.parts import FileSettings
+from agents.recorder.parts import Attached, FileSettings
 from agents.recorder.recorder import RecorderSettings
 from schemas.codec import decode
 from schemas.messages import StereoCalibration

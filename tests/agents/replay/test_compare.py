@@ -15,7 +15,7 @@ from schemas import messages
 from schemas.checks import fields_of, without_none
 from shared.images import encode_image
 from shared.splines import clamped_uniform_knots
-from tests.agents.inspection.conftest import thread as example
+from tests.agents.session_report.conftest import thread as example
 
 LINE = np.linspace((0.0, 0.0, 0.1), (0.03, 0.0, 0.1), 5)
 RULES = tolerant(messages.ThreadReconstruction)

@@ -8,21 +8,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.replay.compare import Message, ReadAhead, items
 from agents.replay.contents import (
     PastCommand,
     SelectionError,
     WindowError,
     contents_of,
     name_of,
-    readable,
     select,
     window_ns,
 )
 from agents.replay.flow import Awaited, awaited_of, spacing_errors_ms, spacing_of
+from agents.replay.items import Message, ReadAhead, items
 from agents.replay.player import Controls, Timeline
 from schemas.messages import Consumed, Progress
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, PROMPT, ROBOT_STATE, THREAD, key
+from shared.recording.mcap_file import UntilDamage
 
 FRAME_KEY, CALIBRATION_KEY = key("recorded", FRAMES), key("recorded", CALIBRATION)
 MS, SECOND = 10**6, 10**9
@@ -120,7 +120,7 @@ def test_a_stretch_that_makes_no_sense_is_said_in_a_sentence(begin, end, said):
 
 def sent(recording, keys, begin_ms=0, end_ms=2000, commands=()) -> list[Any]:
     window = recording.begin_ns + begin_ms * MS, recording.begin_ns + end_ms * MS
-    return list(items(readable(recording.path), keys, commands, window, "elsewhere"))
+    return list(items(UntilDamage(recording.path).entries(), keys, commands, window, "elsewhere"))
 
 
 def test_bytes_order_and_times_are_those_of_the_recording_the_rig_is_the_new_one_and_frames_end_steps(recording):

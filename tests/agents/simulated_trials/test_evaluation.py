@@ -153,4 +153,4 @@ def test_the_page_tells_rates_pairs_and_what_was_declined_and_its_html_escapes()
     assert "were they failures, 50.0 % held" in text
     html = report(protocol, came, every, whole, [])
     assert "<b>" not in html
-    assert as_html("| a | b |\n|---|---|\n| 1 | `2` |") == ("<table><tr><th>a<th>b<tr><td>1<td><code>2</code></table>")
+    assert as_html("# a\n- `2`") == "<h1>a</h1>\n<ul><li><code>2</code></ul>"

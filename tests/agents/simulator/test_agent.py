@@ -17,7 +17,7 @@ from shared.arc_length import length, parameters_at
 from shared.rigid_transforms import apply, compose, inverse, rotation_from_quaternion, transform
 from shared.runtime.agent import Output, Received, Tick
 from shared.splines import evaluate
-from tests.agents.inspection.conftest import plan as example
+from tests.agents.session_report.conftest import plan as example
 
 MM = 1e-3
 GRIP_M = 8.2 * MM

@@ -163,7 +163,7 @@ def test_where_the_jaws_come_nearest_to_the_tissue_is_shown_and_said_and_where_t
 def test_an_instrument_is_drawn_where_it_was_found_and_is_told_lost_once(session_messages):
     told, mapping = session_messages[topics.TOOL], LiveMapping()
     entities = shown(mapping, told)
-    assert mapping.tracked
+    assert mapping.scene.tracked
     for path, px in (
         ("world/left/tool/psm1/registered", told.registered_left_px),
         ("world/left/tool/psm1/found", told.found_left_px),

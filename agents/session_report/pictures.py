@@ -4,7 +4,6 @@ The recording is read a second time for them: which frames matter is known only 
 be kept until then.
 """
 
-import base64
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -12,17 +11,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from agents.inspection.grasps import event_name
-from agents.inspection.session import Session
-from schemas.checks import MessageError
-from schemas.codec import decode
+from agents.session_report.grasps import event_name
+from agents.session_report.session import Session
 from schemas.messages import GraspPlan, Status, StereoCalibration, StereoFrame, ThreadReconstruction
-from schemas.topics import CALIBRATION, FRAMES, THREAD, topic_of
+from schemas.topics import CALIBRATION, FRAMES, THREAD
 from shared.arc_length import length, parameters_at
 from shared.camera import is_rectified, project
 from shared.images import ImageDataError, decode_image
-from shared.recording.entry import Entry, RecordingError
-from shared.recording.mcap_file import read_recording
+from shared.recording.mcap_file import UntilDamage
 from shared.splines import evaluate
 
 WIDTH_PX, JPEG_QUALITY = 400, 80
@@ -52,10 +48,9 @@ class Picture:
     pixels: UInt8[np.ndarray, "h w 3"]
 
     @property
-    def uri(self) -> str:
-        """The picture as a data URI."""
-        data = cv2.imencode(".jpg", self.pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-        return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
+    def jpeg(self) -> bytes:
+        """The picture as a page holds it."""
+        return cv2.imencode(".jpg", self.pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
 @dataclass
@@ -108,21 +103,17 @@ def pictures_of(session: Session) -> list[Picture]:
     """Pictures of the first moments, as many as a page can bear; fewer where frames are missing or damaged."""
     waiting = moments(session)[:MOST_PICTURES]
     seen = _Seen()
-    try:
-        for entry in read_recording(session.path):
-            if not waiting and not _undrawn(seen):
-                break
-            message = _wanted_message(entry)
-            if isinstance(message, StereoCalibration):
-                seen.rectified = is_rectified(message)
-            elif isinstance(message, ThreadReconstruction):
-                seen.learn(message)
-            elif isinstance(message, StereoFrame):
-                while waiting and seen.frame and waiting[0].at_ns < message.stamp.capture_left_ns:
-                    seen.take(seen.frame, waiting.pop(0))
-                seen.frame = message
-    except RecordingError:
-        pass  # of a damaged file, what lies before the damage
+    for _, message in UntilDamage(session.path).messages(CALIBRATION, FRAMES, THREAD):
+        if not waiting and not _undrawn(seen):
+            break
+        if isinstance(message, StereoCalibration):
+            seen.rectified = is_rectified(message)
+        elif isinstance(message, ThreadReconstruction):
+            seen.learn(message)
+        elif isinstance(message, StereoFrame):
+            while waiting and seen.frame and waiting[0].at_ns < message.stamp.capture_left_ns:
+                seen.take(seen.frame, waiting.pop(0))
+            seen.frame = message
     for wanted in waiting:
         if seen.frame:
             seen.take(seen.frame, wanted)
@@ -133,14 +124,6 @@ def _undrawn(seen: _Seen) -> bool:
     """Whether the thread of the last frame that was kept is still to come."""
     thread_ns = seen.thread.stamp.capture_left_ns if seen.thread else 0
     return any(picture.of.what == PLANNED and picture.captured_ns > thread_ns for picture in seen.pictures)
-
-
-def _wanted_message(entry: Entry) -> StereoCalibration | StereoFrame | ThreadReconstruction | None:
-    try:
-        topic = topic_of(entry.key)
-        return decode(topic.message, entry.payload) if topic in (CALIBRATION, FRAMES, THREAD) else None
-    except (KeyError, MessageError):
-        return None
 
 
 def _shrunk(pixels: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h2 w2 3"]:

@@ -3,6 +3,7 @@
 Tables as files, written row by row, so that their length does not matter: CSV, JSON, or NumPy's npz.
 """
 
+import contextlib
 import csv
 import json
 import math
@@ -14,14 +15,13 @@ from typing import IO, Any, Protocol
 
 import numpy as np
 
-from agents.inspection.export_blocks import blocks
-from agents.inspection.export_columns import Block, row_count
+from agents.session_report.export_rows import Block, blocks, row_count
 from schemas.checks import MessageError
 from schemas.codec import decode
-from schemas.topics import COMMANDS, EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, THREAD, topic_of
+from schemas.topics import COMMANDS, EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, THREAD, known_topic
 from shared.recording.completeness import Completeness, completeness
 from shared.recording.entry import Entry, RecordingError
-from shared.recording.mcap_file import read_recording
+from shared.recording.mcap_file import UntilDamage
 
 
 class TableFile(Protocol):
@@ -195,8 +195,9 @@ def export(source: Path, folder: Path, form: str, points: int) -> Exported:
     """
     exported, tables = Exported(), dict[str, tuple[TableFile, tuple[str, ...]]]()
     zero_ns: int | None = None
+    recording = UntilDamage(source)
     try:
-        for entry in read_recording(source):
+        for entry in recording.entries():
             if entry.repeated:
                 continue
             zero_ns = entry.published_ns if zero_ns is None else zero_ns
@@ -209,13 +210,12 @@ def export(source: Path, folder: Path, form: str, points: int) -> Exported:
                     continue
                 table.add(block)
                 exported.rows[name] = exported.rows.get(name, 0) + row_count(block)
-    except RecordingError as error:
-        if zero_ns is None:
-            raise
-        exported.damage = str(error)
     finally:
         for table, _ in tables.values():
             table.close()
+    if zero_ns is None and recording.damage:
+        raise RecordingError(recording.damage)
+    exported.damage = recording.damage
     exported.said = completeness(source)
     derived = (one.sentence for one in exported.said.derived)
     said = "\n".join([*derived, exported.damage or exported.said.sentence, ""])
@@ -229,11 +229,11 @@ def export(source: Path, folder: Path, form: str, points: int) -> Exported:
 
 
 def _blocks(entry: Entry, zero_ns: int, points: int, exported: Exported) -> list[tuple[str, Block]]:
-    try:
-        topic = topic_of(entry.key)
-        if topic not in EXPORTED:
-            return []
-        return list(blocks(decode(topic.message, entry.payload), entry.published_ns, zero_ns, points))
-    except (KeyError, MessageError):
-        exported.unreadable += 1
+    topic = known_topic(entry.key)
+    if topic is not None and topic not in EXPORTED:
         return []
+    if topic is not None:
+        with contextlib.suppress(MessageError):
+            return list(blocks(decode(topic.message, entry.payload), entry.published_ns, zero_ns, points))
+    exported.unreadable += 1
+    return []

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Int64
 
-from schemas.topics import HEARTBEAT, Delivery, topic_of
+from schemas.topics import HEARTBEAT, Delivery, known_topic
 from shared.recording.entry import Entry
 
 SILENT_PERIODS, SILENT_S = 5.0, 0.1
@@ -141,9 +141,8 @@ def without_left_out(
 
 def _topic(key: str) -> tuple[str, bool, float]:
     """The topic's name, whether its messages come regularly while its publisher runs, and the interval at rest."""
-    try:
-        topic = topic_of(key)
-    except KeyError:
+    topic = known_topic(key)
+    if topic is None:
         return "", False, 0.0
     # heartbeats come while an arm is armed, and not between two grasps
     is_regular = topic.delivery is Delivery.LATEST and topic.rate_hz is not None and topic is not HEARTBEAT

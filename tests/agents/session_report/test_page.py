@@ -1,6 +1,5 @@
 """The page: one file without anything from elsewhere, whatever the recording says; charts and pictures in it."""
 
-import base64
 import dataclasses
 import html.parser
 import re
@@ -12,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.inspection.page import WIDTH, Mark, Series, chart, nice_ceiling, session_page, thinned
-from agents.inspection.pictures import pictures_of
-from agents.inspection.session import read_session
-from tests.agents.inspection.conftest import ns
+from agents.session_report.page import WIDTH, Mark, Series, chart, nice_ceiling, session_page, thinned
+from agents.session_report.pictures import pictures_of
+from agents.session_report.session import read_session
+from tests.agents.session_report.conftest import ns
 
 
 class Outline(html.parser.HTMLParser):
@@ -67,7 +66,7 @@ def test_pictures_show_what_the_camera_saw_with_the_thread_drawn_in(recording):
         *("planned from", "accepted", "approach", "capture", "slide", "grasp", "retreat", "finished", "judged")
     ]
     planned = pictures[0]
-    image = cv2.imdecode(np.frombuffer(base64.b64decode(planned.uri.split(",")[1]), np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(planned.jpeg, np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     assert image.shape == (54, 96, 3)
     # the thread runs through the middle of the image, from u = 27.5 to 67.5

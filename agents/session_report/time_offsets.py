@@ -1,24 +1,19 @@
 """By how much a recording's camera is later than the joints of each of its arms, where the arms move the most."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.inspection.table import Table
-from schemas.checks import MessageError
-from schemas.codec import decode
-from schemas.messages import RobotState, StereoFrame
-from schemas.topics import FRAMES, ROBOT_STATE, Topic, is_known, topic_of
-from shared.calibration.time_offset import TOO_LITTLE, TimeOffset, ToolMotion, time_offset, windows_of
+from agents.session_report.table import Table
+from schemas.messages import RobotState
+from schemas.topics import FRAMES, ROBOT_STATE
+from shared.calibration.time_offset import TOO_LITTLE, TimeOffset, ToolMotion, motion_of, time_offset, windows_of
 from shared.images import ImageDataError, decode_image
-from shared.recording.entry import Entry
 from shared.recording.mcap_file import UntilDamage
 
-Message = TypeVar("Message")
 STRETCH_S = 60
 """So much of a recording is looked at: a second of video takes a tenth of a second."""
 
@@ -46,7 +41,7 @@ def time_offsets(path: Path) -> tuple[ArmOffset, ...]:
         RecordingError, OSError: as `read_recording`.
     """
     states: dict[str, dict[int, RobotState]] = {}
-    for state in _messages(path, ROBOT_STATE, RobotState):
+    for _, state in UntilDamage(path).messages(ROBOT_STATE):
         states.setdefault(state.arm, {})[state.measured_ns] = state
     motions = {arm: motion_of(of_arm) for arm, of_arm in sorted(states.items()) if len(of_arm) > 1}
     if not motions:
@@ -60,25 +55,6 @@ def offset_table(offsets: tuple[ArmOffset, ...]) -> Table:
     """A row for each arm."""
     rows = tuple((one.arm, one.sentence) for one in offsets) or (("none", "the recording holds no states of an arm"),)
     return Table("the camera's stamps are later than the joints' by", ("arm", "by"), rows)
-
-
-def _messages(path: Path, topic: Topic, kind: type[Message]) -> Iterator[Message]:
-    for entry in UntilDamage(path):
-        if isinstance(entry, Entry) and is_known(entry.key) and topic_of(entry.key) is topic:
-            try:
-                yield decode(kind, entry.payload)
-            except MessageError:
-                continue
-
-
-def motion_of(states: Mapping[int, RobotState]) -> ToolMotion:
-    """The tool's motion, from the states of an arm by when they were measured."""
-    ordered = [states[at_ns] for at_ns in sorted(states)]
-    return ToolMotion(
-        np.array([state.measured_ns * 1e-9 for state in ordered]),
-        np.array([state.T_base_tool for state in ordered]),
-        np.array([state.jaw_rad for state in ordered]),
-    )
 
 
 def _most_motion(motions: list[ToolMotion]) -> float:
@@ -97,7 +73,7 @@ def _farthest(motion: ToolMotion) -> tuple[float, float]:
 
 def _images(path: Path, begin_s: float, end_s: float) -> Iterator[tuple[float, UInt8[np.ndarray, "h w *c"]]]:
     before_s = -np.inf
-    for frame in _messages(path, FRAMES, StereoFrame):
+    for _, frame in UntilDamage(path).messages(FRAMES):
         at_s = frame.stamp.capture_left_ns * 1e-9
         if not begin_s <= at_s <= end_s or at_s <= before_s:
             continue

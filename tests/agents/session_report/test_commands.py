@@ -9,9 +9,9 @@ from mcap.writer import Writer
 from rich.text import Text
 
 from agents.cli.main import main
-from agents.inspection.document import lines
-from agents.inspection.session import read_session
-from agents.inspection.tables import session_tables
+from agents.session_report.document import lines
+from agents.session_report.session import read_session
+from agents.session_report.tables import session_tables
 
 
 @pytest.fixture

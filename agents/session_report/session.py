@@ -7,22 +7,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from agents.inspection.accounts import (
-    AccountCollector,
-    AgentAccount,
-    Remark,
-    StageTimes,
+from agents.session_report.accounts import AccountCollector, AgentAccount, Remark
+from agents.session_report.contents import ContentsCollector, KeyContents, without_left_out
+from agents.session_report.facts import (
+    Setting,
+    SettingCollector,
     attached_facts,
-    captured_ns,
     facts_of_messages,
-    in_order,
     noted_facts,
-    stage_of,
+    setting_facts,
 )
-from agents.inspection.contents import ContentsCollector, KeyContents, without_left_out
-from agents.inspection.grasps import Grasp, GraspCollector, OtherCommand
-from agents.inspection.settings import Setting, SettingCollector, setting_facts
-from agents.inspection.threads import ThreadQuality
+from agents.session_report.grasps import Grasp, GraspCollector, OtherCommand
+from agents.session_report.stages import StageTimes, captured_ns, in_order, stage_of
+from agents.session_report.threads import ThreadQuality
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import SimulatorState, StereoCalibration
@@ -36,12 +33,12 @@ from schemas.topics import (
     SIMULATOR_STATE,
     THREAD,
     Topic,
-    topic_of,
+    known_topic,
 )
 from shared.recording.completeness import Completeness, completeness_of
 from shared.recording.derivation import MADE_NO_MORE
 from shared.recording.entry import Entry, Note, RecordingError
-from shared.recording.mcap_file import is_finished, read_attachments, read_with_notes
+from shared.recording.mcap_file import UntilDamage, is_finished, read_attachments
 
 
 @dataclass(frozen=True)
@@ -50,6 +47,7 @@ class Session:
 
     Fields:
         damage: what broke the reading off; empty where all was read.
+        start_ns: when the first message was published; where that had been kept for later, when it was received.
         said: what the file itself says of what it was made of, and of what it lacks.
     """
 
@@ -67,12 +65,7 @@ class Session:
     settings: tuple[Setting, ...]
     quality: ThreadQuality
     facts: dict[str, str]
-    begin_ns: int = 0
-
-    @property
-    def start_ns(self) -> int:
-        """When the first message was published; where that had been kept for later, when it was received."""
-        return self.begin_ns
+    start_ns: int
 
     @property
     def end_ns(self) -> int:
@@ -113,9 +106,8 @@ class _Reading:
         if not self.begin_ns:
             self.begin_ns = entry.at_ns
         self.contents.add(entry)
-        try:
-            topic = topic_of(entry.key)
-        except KeyError:
+        topic = known_topic(entry.key)
+        if topic is None:
             self.contents.refuse(entry, "this version has no such topic")
             return
         try:
@@ -126,9 +118,9 @@ class _Reading:
 
     def _add_repeated(self, entry: Entry) -> None:
         """Take what held before the file began, and counts in the part before it."""
-        with contextlib.suppress(KeyError, MessageError):
-            topic = topic_of(entry.key)
-            if topic in (CALIBRATION, CONFIGURATION, SIMULATOR_STATE, *GraspCollector.topics):
+        with contextlib.suppress(MessageError):
+            topic = known_topic(entry.key)
+            if topic is not None and topic in (CALIBRATION, CONFIGURATION, SIMULATOR_STATE, *GraspCollector.topics):
                 self._add_message(entry, topic, decode(topic.message, entry.payload), before=True)
 
     def _add_message(self, entry: Entry, topic: Topic, message: Any, before: bool = False) -> None:
@@ -157,19 +149,13 @@ def read_session(path: Path) -> Session:
         RecordingError: where the file is no recording at all.
         OSError: where it cannot be opened.
     """
-    reading, damage, found = _Reading(), "", False
-    try:
-        for item in read_with_notes(path):
-            found = True
-            if isinstance(item, Note):
-                reading.notes.append(item)
-            else:
-                reading.add(item)
-    except RecordingError as error:
-        if not found:
-            raise
-        damage = str(error)
-    return _session(path, reading, damage)
+    reading, recording = _Reading(), UntilDamage(path)
+    for item in recording:
+        if isinstance(item, Note):
+            reading.notes.append(item)
+        else:
+            reading.add(item)
+    return _session(path, reading, recording.damage)
 
 
 def _session(path: Path, reading: _Reading, damage: str) -> Session:
@@ -192,7 +178,7 @@ def _session(path: Path, reading: _Reading, damage: str) -> Session:
         quality=reading.quality,
         # what was in force first: of the rest there is much
         facts=_attached(path) | setting_facts(reading.settings.settings) | noted_facts(reading.notes) | facts,
-        begin_ns=reading.begin_ns,
+        start_ns=reading.begin_ns,
     )
 
 

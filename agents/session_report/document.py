@@ -13,12 +13,13 @@ import rich.table
 from rich.console import Console
 from rich.text import Text
 
-from agents.inspection.accounts import BEFORE, PERCENTILES, StageTimes, added_ms, percentiles
-from agents.inspection.contents import KeyContents
-from agents.inspection.grasps import Arming, Grasp
-from agents.inspection.session import Session
-from agents.inspection.table import Table, all_printable, first_rows, printable
+from agents.session_report.contents import KeyContents
+from agents.session_report.grasps import Arming, Grasp
+from agents.session_report.session import Session
+from agents.session_report.stages import BEFORE, PERCENTILES, StageTimes, added_ms, percentiles
+from agents.session_report.table import Table, all_printable, first_rows
 from schemas.messages import CommandAnswer, GraspGoal, GraspJudgement, GraspPlan
+from shared.terminal import printable
 
 FORM = 1
 """Counts up where a name changes its meaning."""

@@ -2,23 +2,12 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
-from agents.inspection.accounts import percentiles
-from agents.inspection.session import Session
-from agents.inspection.table import Row, Table, decimal, short
+from agents.session_report.session import Session
+from agents.session_report.stages import percentiles
+from agents.session_report.table import Row, Table, decimal, short
 
 Value = float | None
-
-
-@dataclass(frozen=True)
-class _Figures:
-    """One table of figures: a row of names, and for each session a number by that name."""
-
-    title: str
-    of: Callable[[Session], dict[str, Value]]
-
-
 OF_A_REPLAY = {
     "from capture until published, ms": "; of what a replay made, as recorded",
     "times of a step, ms": "; of agents that ran anew, in the replay",
@@ -29,21 +18,20 @@ OF_A_REPLAY = {
 
 def comparison_tables(sessions: list[Session], names: list[str]) -> list[Table]:
     """Tables with a column for each session; of two, also the change from the first to the second."""
-    figures = (
-        _Figures("in all", _overall),
-        _Figures("messages a second", _rates),
-        _Figures("lost messages", lambda session: {short(one.key): one.lost or None for one in session.contents}),
-        _Figures("from capture until published, ms", _latencies),
-        _Figures("times of a step, ms", _steps),
-        _Figures("left out for newer ones", _dropped),
-        _Figures("what became of the frames", _results),
-        _Figures("what came of the grasps", _outcomes),
-    )
+    figures: dict[str, Callable[[Session], dict[str, Value]]] = {
+        "in all": _overall,
+        "messages a second": _rates,
+        "lost messages": lambda session: {short(one.key): one.lost or None for one in session.contents},
+        "from capture until published, ms": _latencies,
+        "times of a step, ms": _steps,
+        "left out for newer ones": _dropped,
+        "what became of the frames": _results,
+        "what came of the grasps": _outcomes,
+    }
     replayed = any(session.said.ran_anew for session in sessions)
-    titles = [one.title + (OF_A_REPLAY.get(one.title, "") if replayed else "") for one in figures]
     tables = [
-        _table(title, [one.of(session) for session in sessions], names)
-        for title, one in zip(titles, figures, strict=True)
+        _table(title + (OF_A_REPLAY.get(title, "") if replayed else ""), [of(session) for session in sessions], names)
+        for title, of in figures.items()
     ]
     return [table for table in (*tables, _differences(sessions, names)) if table.rows]
 

@@ -7,11 +7,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from agents.inspection.export import FORMATS, export
-from agents.inspection.session import read_session
+from agents.session_report.export import FORMATS, export
+from agents.session_report.session import read_session
 from schemas.messages import FrameStamp, Image, ImageEncoding, StereoFrame
 from schemas.topics import FRAMES
-from tests.agents.inspection.conftest import ns
+from tests.agents.session_report.conftest import ns
 
 TABLES = {"frames": 57, "curves": 55 * 11, "plans": 1, "waypoints": 2, "robot_states": 57, "commands": 3, "outcomes": 8}
 

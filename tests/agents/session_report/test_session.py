@@ -7,16 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.inspection.contents import gaps_of
-from agents.inspection.grasp_tables import grasps
-from agents.inspection.grasps import GraspCollector
-from agents.inspection.session import read_session
-from agents.inspection.tables import head_lines, session_tables
+from agents.session_report.contents import gaps_of
+from agents.session_report.grasps import GraspCollector
+from agents.session_report.session import read_session
+from agents.session_report.tables import grasps, head_lines, session_tables
 from schemas import messages
 from schemas.topics import ARM, CONFIGURATION, EXECUTION, FRAMES, HEALTH, HOLD, LOG, PLAN, SET, key
 from shared.recording.derivation import Anew, Derivation
 from shared.recording.entry import Entry
-from tests.agents.inspection.conftest import ZERO_NS, event, frame, health, ns, plan
+from tests.agents.session_report.conftest import ZERO_NS, event, frame, health, ns, plan
 
 FRAMES_KEY = key("lab", FRAMES)
 

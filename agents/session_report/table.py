@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from shared.terminal import printable
+
 Row = tuple[str, ...]
 
 
@@ -34,11 +36,6 @@ def decimal(value: float | None) -> str:
 def first_rows(table: Table, limit: int) -> tuple[tuple[Row, ...], int]:
     """The first rows, and how many are left out."""
     return table.rows[:limit], max(0, len(table.rows) - limit)
-
-
-def printable(text: str) -> str:
-    """Text without characters that move a cursor or begin an escape sequence, on one line."""
-    return "".join(char if char.isprintable() else "?" for char in " ".join(text.split()))
 
 
 def all_printable(rows: Iterable[Row]) -> tuple[Row, ...]:

@@ -3,20 +3,20 @@
 Charts of a page, as SVG: polylines over time with axes, without any script or library.
 """
 
-import html
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
-from agents.inspection.grasps import Grasp, event_name
-from agents.inspection.pictures import Picture
-from agents.inspection.session import Session
-from agents.inspection.table import Table, all_printable, printable
-from agents.inspection.tables import head_lines, session_tables
+from agents.session_report.grasps import Grasp, event_name
+from agents.session_report.pictures import Picture
+from agents.session_report.session import Session
+from agents.session_report.table import Table
+from agents.session_report.tables import head_lines, session_tables
 from schemas.topics import ROBOT_STATE
+from shared.html_page import escaped, figure, image, page, paragraph, table
 
 WIDTH, HEIGHT = 900, 200
 LEFT, RIGHT, TOP, BOTTOM = 56, 12, 10, 24
@@ -56,10 +56,10 @@ def chart(title: str, series: list[Series], end_s: float, marks: list[Mark], cei
     parts += [_mark(mark, end_s) for mark in marks if 0 <= mark.at_s <= end_s]
     for index, one in enumerate(drawn):
         parts += [_polyline(points, index, one.name) for points in _stretches(one, end_s, top)]
-    keys = " ".join(f'<span class="key c{i % COLOURS}">{html.escape(one.name)}</span>' for i, one in enumerate(drawn))
+    keys = " ".join(f'<span class="key c{i % COLOURS}">{escaped(one.name)}</span>' for i, one in enumerate(drawn))
     return (
-        f"<figure><figcaption>{html.escape(title)} {keys}</figcaption>"
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(title, quote=True)}">'
+        f"<figure><figcaption>{escaped(title)} {keys}</figcaption>"
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escaped(title)}">'
         f"{''.join(parts)}</svg></figure>"
     )
 
@@ -109,7 +109,7 @@ def _y(values: Float64[np.ndarray, "n"], top: float) -> Float64[np.ndarray, "n"]
 
 
 def _polyline(points: Float64[np.ndarray, "n 2"], index: int, name: str) -> str:
-    title = f"<title>{html.escape(name)}</title>"
+    title = f"<title>{escaped(name)}</title>"
     if len(points) == 1:
         x, y = points[0]
         return f'<circle class="c{index % COLOURS}" cx="{x:.1f}" cy="{y:.1f}" r="2.5">{title}</circle>'
@@ -121,7 +121,7 @@ def _mark(mark: Mark, end_s: float) -> str:
     x = float(_x(np.array([mark.at_s]), end_s)[0])
     return (
         f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{HEIGHT - BOTTOM}">'
-        f"<title>{html.escape(f'{mark.at_s:.2f} s: {mark.text}')}</title></line>"
+        f"<title>{escaped(f'{mark.at_s:.2f} s: {mark.text}')}</title></line>"
     )
 
 
@@ -138,62 +138,49 @@ def _grid(end_s: float, top: float) -> str:
     return "".join(parts)
 
 
-_BASE = """
-:root { color-scheme: light dark; --ink: #1c1f23; --paper: #ffffff; --dim: #667079; --line: #d9dee3; --mark: #b0b8c0;
-  --k0: #1f6fb4; --k1: #c2571a; --k2: #2b8a3e; --k3: #9c36b5; --k4: #b0860b; --k5: #d6336c; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e4e7ea; --paper: #16191c; --dim: #98a2ab; --line: #31373d;
-  --mark: #59636c; --k0: #6cb2f0; --k1: #f29a63; --k2: #69db7c; --k3: #d49bea; --k4: #e8c24a; --k5: #f783ac; } }
-body { font: 15px/1.45 system-ui, sans-serif; color: var(--ink); background: var(--paper); margin: 2rem auto;
-  max-width: 76rem; padding: 0 1rem; }
-h1 { font-size: 1.4rem; } h2 { font-size: 1.05rem; margin-top: 2.2rem; } p { margin: .2rem 0; }
-.scroll { overflow-x: auto; } table { border-collapse: collapse; font-size: .87rem; }
-th { text-align: left; font-weight: 600; color: var(--dim); } th, td { padding: .15rem .9rem .15rem 0;
-  border-bottom: 1px solid var(--line); vertical-align: top; } .figure { text-align: right;
-  font-variant-numeric: tabular-nums; }
-figure { margin: 1rem 0; } figcaption { font-size: .87rem; color: var(--dim); } svg { width: 100%; height: auto; }
-polyline { fill: none; stroke-width: 1.4; } .grid { stroke: var(--line); } .mark { stroke: var(--mark);
-  stroke-dasharray: 3 3; }
+STYLE = """
+:root { --mark: #b0b8c0; --k0: #1f6fb4; --k1: #c2571a; --k2: #2b8a3e; --k3: #9c36b5; --k4: #b0860b; --k5: #d6336c; }
+@media (prefers-color-scheme: dark) { :root { --mark: #59636c; --k0: #6cb2f0; --k1: #f29a63; --k2: #69db7c;
+  --k3: #d49bea; --k4: #e8c24a; --k5: #f783ac; } }
+svg { width: 100%; height: auto; } polyline { fill: none; stroke-width: 1.4; } .grid { stroke: var(--line); }
+.mark { stroke: var(--mark); stroke-dasharray: 3 3; }
 .tick { fill: var(--dim); font-size: 11px; } .right { text-anchor: end; } .middle { text-anchor: middle; }
 .key { margin-left: .9rem; font-weight: 600; } .pictures { display: flex; flex-wrap: wrap; gap: .6rem; }
 .pictures figure { margin: 0; width: 15.5rem; } .pictures img { width: 100%; border-radius: 3px; }
-"""
-_LINES = (
-    "polyline.c{i} {{ stroke: var(--k{i}); }} circle.c{i} {{ fill: var(--k{i}); }} .key.c{i} {{ color: var(--k{i}); }}"
+""" + "\n".join(
+    f"polyline.c{i} {{ stroke: var(--k{i}); }} circle.c{i} {{ fill: var(--k{i}); }} .key.c{i} {{ color: var(--k{i}); }}"
+    for i in range(COLOURS)
 )
-STYLE = _BASE + "\n".join(_LINES.format(i=i) for i in range(COLOURS))
-
-
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 RATE_BIN_S, MOST_BINS = 1.0, 600
 MOST_ROWS = 2000
 
 
 def session_page(session: Session, pictures: list[Picture]) -> Iterator[str]:
     """The page of one session, piece by piece."""
-    yield _head(session.path.name)
-    yield from _paragraphs(head_lines(session))
-    yield from session_charts(session)
-    tables = session_tables(session)
-    of_grasps = [table for table in tables if table.title in ("grasps", "armed")]
-    for table in of_grasps:
-        yield table_html(table)
-    yield from _pictures(session, pictures)
-    for table in tables:
-        if table not in of_grasps:
-            yield table_html(table)
-    yield "</body></html>\n"
+    return page(session.path.name, _session_parts(session, pictures), STYLE)
 
 
 def comparison_page(sessions: list[Session], names: list[str], tables: list[Table]) -> Iterator[str]:
     """The page of sessions side by side, piece by piece."""
-    yield _head(" and ".join(names))
+    return page(" and ".join(names), _comparison_parts(sessions, names, tables), STYLE)
+
+
+def _session_parts(session: Session, pictures: list[Picture]) -> Iterator[str]:
+    yield from map(paragraph, head_lines(session))
+    yield from session_charts(session)
+    tables = session_tables(session)
+    of_grasps = [table for table in tables if table.title in ("grasps", "armed")]
+    yield from map(table_html, of_grasps)
+    yield from _pictures(session, pictures)
+    yield from (table_html(table) for table in tables if table not in of_grasps)
+
+
+def _comparison_parts(sessions: list[Session], names: list[str], tables: list[Table]) -> Iterator[str]:
     for session, name in zip(sessions, names, strict=True):
-        yield f"<h2>{_text(name)}</h2>"
-        yield from _paragraphs(head_lines(session))
+        yield f"<h2>{escaped(name)}</h2>"
+        yield from map(paragraph, head_lines(session))
     yield from comparison_charts(sessions, names)
-    for table in tables:
-        yield table_html(table)
-    yield "</body></html>\n"
+    yield from map(table_html, tables)
 
 
 def session_charts(session: Session) -> Iterator[str]:
@@ -223,41 +210,20 @@ def comparison_charts(sessions: list[Session], names: list[str]) -> Iterator[str
     yield chart("mean confidence along the thread", confidence, end_s, [], ceiling=1.0)
 
 
-def table_html(table: Table) -> str:
+def table_html(of: Table) -> str:
     """A table with its title."""
-    classes = [' class="figure"' if column.startswith(" ") else "" for column in table.columns]
-    head = "".join(f"<th{of}>{_text(name)}</th>" for of, name in zip(classes, table.columns, strict=True))
-    rows = (
-        "<tr>" + "".join(f"<td{of}>{html.escape(cell)}</td>" for of, cell in zip(classes, row, strict=True)) + "</tr>"
-        for row in all_printable(table.rows[:MOST_ROWS])
-    )
-    left = len(table.rows) - MOST_ROWS
-    more = f"<p>and {left} more, which --json shows</p>" if left > 0 else ""
-    body = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
-    return f'<h2>{_text(table.title)}</h2><div class="scroll">{body}</div>{more}\n'
-
-
-def _head(title: str) -> str:
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{_text(title)}</title><style>{STYLE}</style></head><body><h1>{_text(title)}</h1>\n"
-    )
-
-
-def _paragraphs(lines: Iterable[str]) -> Iterator[str]:
-    for line in lines:
-        yield f"<p>{_text(line)}</p>\n"
+    left = len(of.rows) - MOST_ROWS
+    more = paragraph(f"and {left} more, which --json shows") if left > 0 else ""
+    return f"<h2>{escaped(of.title)}</h2>{table(of.columns, of.rows[:MOST_ROWS])}{more}"
 
 
 def _pictures(session: Session, pictures: list[Picture]) -> Iterator[str]:
     for number in sorted({picture.of.grasp for picture in pictures}):
         ended = session.grasps[number - 1].ended
-        yield f'<h2>grasp {number}: {_text(ended)}</h2><div class="pictures">'
+        yield f'<h2>grasp {number}: {escaped(ended)}</h2><div class="pictures">'
         for picture in (one for one in pictures if one.of.grasp == number):
             at = f"{picture.of.what}, as filmed at {session.since_start_s(picture.captured_ns):.2f} s"
-            yield f'<figure><img src="{picture.uri}" alt="{_text(at)}"><figcaption>{_text(at)}</figcaption></figure>'
+            yield figure(image(picture.jpeg, at), at)
         yield "</div>\n"
 
 
@@ -293,7 +259,3 @@ def _length(session: Session) -> tuple[str, list[Series]]:
     title = "length of the thread, mm" if unit else "length of the thread, in the unit of the calibration"
     at_s = (session.quality.captured_ns - session.start_ns) * 1e-9
     return title, [Series("length", at_s, session.quality.length * (1e3 * unit if unit else 1.0))]
-
-
-def _text(text: str) -> str:
-    return html.escape(printable(text.strip()), quote=True)

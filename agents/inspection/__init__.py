@@ -1,1 +1,0 @@
-"""Inspection: what a recording holds, in the terminal, on a page, and as tables for other programs."""
