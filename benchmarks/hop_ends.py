@@ -23,7 +23,7 @@ from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogReco
 from schemas.topics import FRAMES, LOG, Topic, key
 from shared.clock import monotonic_s, processor_s
 from shared.images import decode_image
-from shared.runtime.attachment import Attachment, pack, unpack
+from shared.runtime.attachment import Attachment, beside_of, pack
 from shared.runtime.delivery import declare_publisher, payload_of, subscribe
 from shared.runtime.intake import Arrival, Inbox
 from shared.runtime.process import keep_freed_memory
@@ -141,11 +141,11 @@ def receive(session: Any, load: Load) -> list[dict[str, float]]:
 
     def put_away(sample: Any) -> None:
         at_s = monotonic_s()
-        attachment = sample.attachment.to_bytes()
-        (inbox.put_newest if latest else inbox.put)(Arrival(load.topic, load.key, sample.payload.to_bytes, attachment))
-        received[_sequence(attachment)] = at_s
+        beside = beside_of(sample, load.key)
+        (inbox.put_newest if latest else inbox.put)(Arrival(load.topic, load.key, sample.payload.to_bytes, beside))
+        received[_number(beside)] = at_s
 
-    kept = subscribe(session, load.key, load.topic, put_away, lambda _: None)
+    subscriber = subscribe(session, load.key, load.topic, put_away, lambda _: None)
     print("ready", flush=True)
     readings: list[dict[str, float]] = []
     quiet_until_s = monotonic_s() + 4 * PATIENCE_S
@@ -156,12 +156,11 @@ def receive(session: Any, load: Load) -> list[dict[str, float]]:
         taken_s = monotonic_s()
         _look_at(decode(load.topic.message, arrival.payload()), load)
         decoded_s = monotonic_s()
-        sequence = _sequence(arrival.attachment)
+        sequence = _number(arrival.beside)
         processor = {"receiver's processor": processor_s()}
         readings.append({"sequence": sequence, "taken": taken_s, "decoded": decoded_s, **processor})
         quiet_until_s = decoded_s + (PATIENCE_S if sequence < load.count + WARM_UP - 1 else 0.0)
-    for declared in kept:
-        declared.undeclare()
+    subscriber.undeclare()
     return [{**row, "received": received[int(row["sequence"])]} for row in readings if row["sequence"] >= WARM_UP]
 
 
@@ -216,8 +215,7 @@ def _empty(channel: Any, take: Callable[[Any], None]) -> None:
             take(channel.recv())
 
 
-def _sequence(attachment: bytes) -> int:
-    beside = unpack(attachment)
+def _number(beside: Attachment | None) -> int:
     assert beside is not None, "the sender's attachment is whole"
     return beside.sequence
 

@@ -76,8 +76,10 @@ def lost_events() -> dict[str, int]:
         ours, zenohs, *senders = (stack.enter_context(open_session(SessionSettings(RIG, at))) for at, _ in links)
         takes = [lambda sample, to=to: to.add((str(sample.key_expr), sample.attachment.to_bytes())) for to in heard]
         everybodys = key(RIG, LOG, "*", "*")
-        kept = subscribe(ours, everybodys, LOG, takes[0], lambda _: None)
-        kept.append(advanced_subscriber(zenohs, everybodys, True, LOG.kept, takes[1]))
+        kept = (
+            subscribe(ours, everybodys, LOG, takes[0], lambda _: None),
+            advanced_subscriber(zenohs, everybodys, True, LOG.kept, takes[1]),
+        )
         names = [key(RIG, LOG, f"sender{i}", AGENT) for i in range(SENDERS)]
         publishers = [declare_publisher(at, name, LOG) for at, name in zip(senders, names, strict=True)]
         pause.wait(BACK_S)

@@ -27,6 +27,7 @@ from schemas.topics import FRAMES
 from shared.clock import processor_s
 from shared.runtime import delivery, lossless, session
 from shared.runtime.agent import Agent, Command, Input, Received, Reply, Tick
+from shared.runtime.attachment import Attachment
 from shared.runtime.runner import Runner
 
 WHOLE, BARE, UNREMEMBERED = "nothing left out", "bare Zenoh", "states looked at one by one"
@@ -47,14 +48,14 @@ def _no_recovery() -> None:
         return at.declare_publisher(name, encoding=encoding, congestion_control=zenoh.CongestionControl.BLOCK)
 
     hop_ends.declare_publisher = publisher
-    hop_ends.subscribe = lambda at, name, _topic, receive, _missed: [at.declare_subscriber(name, receive)]
+    hop_ends.subscribe = lambda at, name, _topic, receive, _missed: at.declare_subscriber(name, receive)
 
 
 def _nothing_beside() -> None:
     """Eight bytes tell messages apart, as of bare Zenoh; no key is named, and none looked at."""
     hop_ends.pack = lambda beside: beside.sequence.to_bytes(8, "big")
-    hop_ends.unpack = lambda data: hop_ends.Attachment(0, int.from_bytes(data, "big"), 0, 0.0)
-    delivery.encoding_of, delivery.unpack = lambda *_: None, lambda _: None
+    hop_ends.beside_of = lambda sample, _: Attachment(0, int.from_bytes(sample.attachment.to_bytes(), "big"), 0, 0.0)
+    delivery.encoding_of = lambda *_: None
     delivery.other_key = lossless.other_key = lambda *_: ""
 
 

@@ -33,55 +33,16 @@ class Rate:
 
 
 @dataclass
-class RingLosses:
-    """Tells what a ring overwrote from what never reached it, from the messages that are taken out of it.
-
-    A ring that overwrites is full. So if it has overwritten since it was last seen empty, at least as many messages as
-    it has room for are taken out of it before it is seen empty again. Where fewer were, every number that is missing
-    among them was lost on the way. Where so many were, nobody knows, and what is missing counts as overwritten.
-
-    Fields:
-        room: messages that it holds.
-        lost: on the way, for certain.
-        overwritten: in the ring, as far as is known.
-    """
-
-    room: int
-    lost: int = 0
-    overwritten: int = 0
-    _taken: int = 0
-    _missing: int = 0
-    _last: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
-
-    def taken(self, key: str, beside: Attachment | None) -> None:
-        """Count a message that was taken out, and those of its key's sequence that lie between it and the last."""
-        self._taken += 1
-        if beside is not None:
-            epoch, sequence = self._last.get(key, (beside.epoch, beside.sequence - 1))
-            self._last[key] = (beside.epoch, beside.sequence)
-            self._missing += max(0, beside.sequence - sequence - 1) if epoch == beside.epoch else 0
-        if self._taken >= self.room:
-            self.overwritten, self._missing = self.overwritten + self._missing, 0
-
-    def emptied(self) -> None:
-        """The ring was seen empty."""
-        self.lost += self._missing
-        self._taken = self._missing = 0
-
-
-@dataclass
 class InputAccount:
     """What became of the messages of one input.
 
     Fields:
-        ring: what the receiving ring tells, where newest messages alone count.
-        skipped: sequence numbers between messages that were looked at.
-        missed: events that Zenoh reports as lost.
+        skipped: sequence numbers between messages that came.
+        missed: events that are known to be lost.
         unreadable: of those received, which an agent only remembers, and which could not be read when they were needed.
     """
 
     topic: str
-    ring: RingLosses | None = None
     rate: Rate = field(default_factory=Rate)
     received: int = 0
     skipped: int = 0
@@ -91,37 +52,30 @@ class InputAccount:
     age_ms: float | None = None
     _last: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
 
-    def arrived(self, key: str, beside: Attachment, now_ns: int, now_s: float) -> None:
-        """Count a message that was looked at, and those of its key's sequence that lie between it and the last."""
-        self.received += 1
-        self.rate.count(now_s)
-        self.age_ms = (now_ns - beside.published_ns) * 1e-6
-        self._follow(key, beside)
-
-    def refuse(self, key: str, beside: Attachment | None, counted: bool = False) -> None:
-        """Count a message that could not be read, which is refused, not missed; `counted`: as received, before."""
-        self.refused += 1
-        if counted:
-            # another thread counts what is received
-            self.unreadable += 1
-            return
-        if beside is not None:
-            self._follow(key, beside)
-
-    def _follow(self, key: str, beside: Attachment) -> None:
+    def came(self, key: str, beside: Attachment) -> None:
+        """Count those of its key's sequence that lie between a message that came and the last."""
         epoch, sequence = self._last.get(key, (beside.epoch, beside.sequence - 1))
         self._last[key] = (beside.epoch, beside.sequence)
         if epoch == beside.epoch:
             self.skipped += max(0, beside.sequence - sequence - 1)
 
+    def looked_at(self, beside: Attachment, now_ns: int, now_s: float) -> None:
+        """Count a message that somebody has looked at."""
+        self.received += 1
+        self.rate.count(now_s)
+        self.age_ms = (now_ns - beside.published_ns) * 1e-6
+
+    def refuse(self, counted: bool = False) -> None:
+        """Count a message that could not be read, which is refused, not missed; `counted`: as received, before."""
+        self.refused += 1
+        # another thread counts what is received
+        self.unreadable += counted
+
     def health(self, dropped: int, now_s: float) -> InputHealth:
         """This account as a message; `dropped` are those that the inbox replaced."""
-        if self.ring is not None:
-            missed, dropped = self.ring.lost, dropped + self.ring.overwritten
-        else:
-            missed = max(self.missed, self.skipped - dropped)
-        received, dropped, missed = self.received - self.unreadable, min(dropped, MOST), min(missed, MOST)
-        return InputHealth(self.topic, self.rate.hz(now_s), self.age_ms, received, dropped, missed, self.refused)
+        missed = min(max(self.missed, self.skipped), MOST)
+        received, rate_hz = self.received - self.unreadable, self.rate.hz(now_s)
+        return InputHealth(self.topic, rate_hz, self.age_ms, received, dropped, missed, self.refused)
 
 
 @dataclass

@@ -113,7 +113,7 @@ def _written(at_ns: int) -> str:
         return f"{at_ns} ns since 1970"
 
 
-def follow_replays(session: zenoh.Session, rig: str, clock: AgentClock) -> list[Any]:
+def follow_replays(session: zenoh.Session, rig: str, clock: AgentClock) -> Any:
     """Let a clock hear of the replays on a rig; what is returned is undeclared in the end."""
 
     def hear(sample: zenoh.Sample) -> None:

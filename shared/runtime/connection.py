@@ -24,7 +24,7 @@ from shared.clock import monotonic_s, now_ns
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import ClockOffset, clock_offset
 from shared.runtime.commands import new_header, send_command
-from shared.runtime.delivery import RouterLinks, as_told, declare_publisher
+from shared.runtime.delivery import as_told, declare_publisher
 from shared.runtime.facts import Link, Surroundings, ask_facts, measure_link
 from shared.runtime.identity import IdentityError
 from shared.runtime.session import SessionSettings, open_session
@@ -172,8 +172,8 @@ class Connection:
 
         What it hears by `listen` is counted in its health, where any of it had to be refused.
         """
-        links, heard = RouterLinks(self._otherwise), self._accounts.health
-        return reporting(self._session, self._rig, kind, instance, logger, fault, config_hash, around, links, heard)
+        told = logger, fault, config_hash, around, self._otherwise, self._accounts.health
+        return reporting(self._session, self._rig, kind, instance, *told)
 
     def close(self) -> None:
         """Stop listening."""

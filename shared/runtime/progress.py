@@ -22,9 +22,7 @@ ANSWER_WAIT_S = 1.0
 class Handled:
     """The newest message of each key that a consumer is done with; one thread notes, others read."""
 
-    def __init__(self, look: Callable[[], None] = lambda: None) -> None:
-        """`look` has noted what waits to be."""
-        self._look = look
+    def __init__(self) -> None:
         self._newest: dict[str, tuple[int, int]] = {}
 
     def note(self, key: str, epoch: int, sequence: int) -> None:
@@ -33,7 +31,6 @@ class Handled:
 
     def listed(self) -> tuple[Consumed, ...]:
         """What was noted so far."""
-        self._look()
         return tuple(Consumed(key, *place) for key, place in dict(self._newest).items())
 
 

@@ -46,10 +46,10 @@ from schemas.topics import (
 from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import LIKE_PER_LINE, Faults, ProcessorShare, StepTimes, resident_bytes
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Later, Output, Received, Tick, awaited
-from shared.runtime.attachment import unpack, why_refused
+from shared.runtime.attachment import why_refused
 from shared.runtime.clocks import AgentClock, ClockWatch, answer_clock, follow_replays
 from shared.runtime.commands import OTHER_KEY, Answered, refused, stops, untimely
-from shared.runtime.delivery import RouterLinks
+from shared.runtime.delivery import Rows
 from shared.runtime.facts import Surroundings, answer_facts, answer_link, facts_of, realtime_priority
 from shared.runtime.intake import Arrival, Intake, taking
 from shared.runtime.outlets import TICK, Coming, Fed, Outlets
@@ -77,14 +77,14 @@ class Runner:
         rig: str,
         config_hash: str = "",
         around: Surroundings | None = None,
-        links: RouterLinks | None = None,
+        otherwise: Rows = (),
     ) -> None:
-        self._links = links or RouterLinks()
-        self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
+        self._agent, self._session, self._rig, self._otherwise = agent, session, rig, otherwise
+        self._config_hash = config_hash
         self._parameters, self._around, self._manager = Parameters(agent), around or Surroundings(), ServiceManager()
         self._root = key_root(rig, agent.instance, agent.kind)
         self._clock = AgentClock(lambda: agent.keeps_time)
-        self._out = Outlets(session, rig, (agent.kind, agent.instance), self._links, self._clock)
+        self._out = Outlets(session, rig, (agent.kind, agent.instance), self._clock, otherwise)
         self._stopped = threading.Event()
         self._answered = Answered()
         self._kept: list[Any] = []
@@ -163,7 +163,7 @@ class Runner:
         return 1.0 / self._agent.tick_hz if self._agent.tick_hz else math.inf
 
     def _listen(self) -> None:
-        self._kept += self._intake.listen(self._session, self._rig, self._links)
+        self._kept += self._intake.listen(self._session, self._rig, self._otherwise)
         commands = [
             (topic, topic.agent, self._agent.instance if topic.per_arm else MAIN) for topic in self._agent.commands
         ]
@@ -174,7 +174,7 @@ class Runner:
         self._answer_questions()
         self._kept.append(RouterWatch(self._session, self._log.warning))
         if self._agent.accepts_replayed_time:
-            self._kept += follow_replays(self._session, self._rig, self._clock)
+            self._kept.append(follow_replays(self._session, self._rig, self._clock))
         self._kept.append(self._session.liveliness().declare_token(self._root))
         self._publish_configuration()
         if self._watched:
@@ -206,15 +206,14 @@ class Runner:
         self._kept.append(answer_progress(self._session, self._root, listens, self._intake.handled, published))
 
     def _feed_remembered(self) -> None:
-        for arrival in self._intake.remembered():
+        for arrival in self._intake.inbox.remembered():
             self._handle(arrival, counted=True)
 
     def _handle(self, arrival: Arrival, counted: bool = False) -> None:
         if arrival.answer is not None:
             self._carry_out(arrival, arrival.answer)
             return
-        account = self._intake.account(arrival.topic)
-        beside = unpack(arrival.attachment)
+        account, beside = self._intake.account(arrival.topic), arrival.beside
         try:
             if arrival.named:
                 raise MessageError(why_refused(arrival.named))
@@ -225,12 +224,12 @@ class Runner:
         except MessageError as error:
             if account.refused % LIKE_PER_LINE == 0:
                 self._log.warning("a message on %s was refused: %s", arrival.key, error)
-            account.refuse(arrival.key, beside, counted)
+            account.refuse(counted)
             if beside is not None:
                 self._intake.handled.note(arrival.key, beside.epoch, beside.sequence)
             return
         if not counted:
-            self._intake.arrived(arrival.topic, arrival.key, beside)
+            self._intake.looked_at(arrival.topic, beside)
         only_newest_counts = str(arrival.topic) in self._newest_only
         self._fed.message(arrival.key, beside.epoch, beside.sequence, only_newest_counts)
         self._step(Received(arrival.topic, arrival.key, beside.sequence, message))

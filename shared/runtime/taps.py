@@ -23,9 +23,9 @@ from schemas.messages import AgentHealth, InputHealth, LogLevel, LogRecord
 from schemas.topics import ANY_AGENT, HEALTH, LOG, MAIN, Delivery, Topic, key, key_root
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.accounts import LIKE_PER_LINE, InputAccount, ProcessorShare, resident_bytes
-from shared.runtime.attachment import Attachment, unpack, why_refused
+from shared.runtime.attachment import Attachment, beside_of, why_refused
 from shared.runtime.clocks import AgentClock, answer_clock
-from shared.runtime.delivery import RouterLinks, as_told, subscribe
+from shared.runtime.delivery import Rows, as_told, subscribe
 from shared.runtime.facts import Surroundings, answer_facts, answer_link, facts_of, realtime_priority
 from shared.runtime.outlets import Outlets
 from shared.runtime.progress import Handled, answer_progress
@@ -42,13 +42,14 @@ class TapAccount:
 
     def arrived(self, key: str, beside: Attachment) -> None:
         """Count a message that was handed over."""
-        self.counts.arrived(key, beside, now_ns(), monotonic_s())
+        self.counts.came(key, beside)
+        self.counts.looked_at(beside, now_ns(), monotonic_s())
 
     def refuse(self, key: str, named: str) -> None:
         """Count a message that came under another key than its own, and say so now and then."""
         if self.counts.refused % LIKE_PER_LINE == 0:
             LOGGER.warning("a message on %s was refused: %s", key, why_refused(named))
-        self.counts.refuse(key, None)
+        self.counts.refuse()
 
 
 class TapAccounts:
@@ -90,7 +91,7 @@ def tap(
     topics: tuple[Topic, ...],
     receive: Callable[[Tapped], None],
     missed: Callable[[Topic, int], None],
-    otherwise: tuple[Topic, ...] = (),
+    otherwise: Rows = (),
     accounts: TapAccounts | None = None,
 ) -> list[Any]:
     """Have every message of these topics, of all instances, handed over; keep what is returned.
@@ -107,7 +108,7 @@ def tap(
         selectors.append(key(rig, topic, "*", "*" if topic.agent == ANY_AGENT else topic.agent))
         account, row = counted.of(topic), as_told(topic, otherwise)
         ways = _receiver(topic, receive, handled, account), lambda count, topic=topic: missed(topic, count)
-        kept += subscribe(session, selectors[-1], row, *ways, refused=account.refuse)
+        kept.append(subscribe(session, selectors[-1], row, *ways, refused=account.refuse))
     kept.append(answer_progress(session, key_root(rig, os.urandom(7).hex(), TAP), selectors, handled))
     return kept
 
@@ -116,9 +117,8 @@ def _receiver(
     topic: Topic, receive: Callable[[Tapped], None], handled: Handled, account: TapAccount
 ) -> Callable[[zenoh.Sample], None]:
     def hand_over(sample: zenoh.Sample) -> None:
-        key, attachment = str(sample.key_expr), sample.attachment
-        # one message for many keys has a number in the sequence of none of them
-        beside = unpack(attachment.to_bytes()) if attachment is not None and "*" not in key else None
+        key = str(sample.key_expr)
+        beside = beside_of(sample, key)
         receive(Tapped(topic, key, sample.payload.to_bytes(), beside))
         if beside is not None:
             account.arrived(key, beside)
@@ -165,14 +165,14 @@ def reporting(
     fault: Callable[[], str],
     config_hash: str = "",
     around: Surroundings | None = None,
-    links: RouterLinks | None = None,
+    otherwise: Rows = (),
     heard: Callable[[], tuple[InputHealth, ...]] = tuple,
 ) -> Generator[None]:
     """Tell all that for as long as it lasts; `fault` says what is wrong at the moment, or is empty.
 
     `heard` tells of what it listens to.
     """
-    out = Outlets(session, rig, (kind, instance), links or RouterLinks(), AgentClock())
+    out = Outlets(session, rig, (kind, instance), AgentClock(), otherwise)
     for topic in (HEALTH, LOG):
         out.declare(topic)
     log_topic = LogTopic(kind, instance, lambda record: out.publish(LOG, record))
@@ -241,10 +241,10 @@ class _Health:
 
 @contextmanager
 def logs_published(
-    session: Session, rig: str, kind: str, logger: logging.Logger, links: RouterLinks | None = None
+    session: Session, rig: str, kind: str, logger: logging.Logger, otherwise: Rows = ()
 ) -> Generator[None]:
     """Publish each record of a logger under the key root of `kind`, for as long as it is needed."""
-    out = Outlets(session, rig, (kind, MAIN), links or RouterLinks(), AgentClock())
+    out = Outlets(session, rig, (kind, MAIN), AgentClock(), otherwise)
     out.declare(LOG)
     handler = LogTopic(kind, MAIN, lambda record: out.publish(LOG, record))
     logger.addHandler(handler)

@@ -58,7 +58,7 @@ def test_what_a_cache_gives_of_another_key_or_publisher_is_taken_for_no_event():
 @pytest.mark.parametrize("topic", [FRAMES, PLAN], ids=str)
 def test_what_names_another_key_is_not_handed_over(topic, session, receiver, keep, heard_by_others, until):
     own, came, missed, refused = key("test", topic), [], [], []
-    keep(*subscribe(receiver, own, topic, came.append, missed.append, None, lambda *both: refused.append(both)))
+    keep(subscribe(receiver, own, topic, came.append, missed.append, lambda *both: refused.append(both)))
     heard_by_others(session, own)
     publisher = keep(declare_publisher(session, own, topic))
     publisher.put(b"first", attachment=beside(0))
