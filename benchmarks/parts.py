@@ -75,6 +75,7 @@ LACKS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
         (EVENTS, IMAGES, PIXELS),
     ),
     "copied to shared memory by Zenoh": (lambda: setattr(delivery, "joined", b"".join), (IMAGES, PIXELS)),
+    "a pool for 24 frames": (lambda: setattr(delivery, "POOL_MESSAGES", 24), (PIXELS,)),
     "large fields framed by protobuf": (_framed_by_protobuf, (IMAGES, PIXELS)),
     UNREMEMBERED: (lambda: None, (STATES,)),
 }

@@ -109,8 +109,9 @@ def _kept(topic: Topic) -> int:
     return topic.kept if topic.delivery is Delivery.EVENT else 1
 
 
-POOL_BYTES = 1 << 26
-"""Of address space; a page is used once something has been written to it. Room for 40 frames of 1.5 MB."""
+POOL_MESSAGES = 6
+"""A pool has room for so many messages of the largest size that is taken from it, twice as many of the smallest. The
+memory of a small pool is written again while the processor's caches still hold it."""
 
 
 def joined(parts: list[Any]) -> Any:
@@ -126,7 +127,7 @@ def joined(parts: list[Any]) -> Any:
 
 
 def _allocated(size: int) -> Any:
-    pool = _pool()
+    pool = _pool(size.bit_length())
     try:
         # of what consumers have not let go of, nothing is taken back: then it is full
         return None if pool is None else pool.alloc(size, policy=shm.GarbageCollect())
@@ -135,8 +136,9 @@ def _allocated(size: int) -> Any:
 
 
 @functools.cache
-def _pool() -> Any:
+def _pool(bits: int) -> Any:
+    """The pool of all messages whose size has so many bits; None where no memory can be shared."""
     try:
-        return shm.ShmProvider.default_backend(POOL_BYTES)
+        return shm.ShmProvider.default_backend(POOL_MESSAGES << bits)
     except zenoh.ZError:
         return None

@@ -14,7 +14,7 @@ import zenoh
 from schemas.codec import LARGE_BYTES, decode, encode
 from schemas.messages import FrameStamp, Image, ImageEncoding, StereoFrame
 from schemas.topics import CALIBRATION, FRAMES, PLAN, key
-from shared.runtime.delivery import POOL_BYTES, declare_publisher, joined, payload_of, subscribe
+from shared.runtime.delivery import POOL_MESSAGES, declare_publisher, joined, payload_of, subscribe
 from shared.runtime.session import SessionSettings, open_router, open_session
 
 DEADLINE_S = 60.0
@@ -139,7 +139,7 @@ def test_where_no_memory_may_be_shared_a_session_goes_by_network_and_says_so(set
 def test_where_the_pool_is_full_a_payload_is_bytes():
     parts = [b"head", bytes(range(256)) * (1 << 14), np.arange(1 << 20, dtype=np.uint8).data]
     expected = b"".join(parts)
-    held = [joined(parts) for _ in range(POOL_BYTES // len(expected) + 2)]
+    held = [joined(parts) for _ in range(2 * POOL_MESSAGES + 1)]
     # the first may be bytes too, while the pool still holds what an earlier test has let go
     assert bytes in {type(payload) for payload in held}
     assert all(bytes(payload) == expected for payload in held)
