@@ -18,7 +18,7 @@ from jaxtyping import Float64, Int64
 from schemas.messages import Progress
 from schemas.topics import Delivery, topic_of
 from shared.clock import monotonic_s
-from shared.runtime.progress import matches
+from shared.runtime.facts import matches
 from shared.runtime.taps import TAP
 
 PATIENCE_S = 30.0

@@ -1,11 +1,13 @@
 """An agent's account of itself, of which its health tells: its topics, its steps, its faults, its processor."""
 
 import os
+import socket
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from schemas.messages import InputHealth, OutputHealth
+import schemas
+from schemas.messages import AgentHealth, InputHealth, OutputHealth
 from shared.clock import monotonic_s, processor_s
 from shared.runtime.attachment import Attachment
 
@@ -176,15 +178,47 @@ def resident_bytes() -> int:
         return 0
 
 
-class ProcessorShare:
-    """How much of one core this process used since it was last asked."""
+class Vitals:
+    """How a process fares, as its health tells.
 
-    def __init__(self) -> None:
-        self._at_s, self._used_s = monotonic_s(), processor_s()
+    Fields:
+        heartbeat: turns of its loop.
+        steps: how long they took; none of what takes no steps.
+    """
 
-    def since_last(self) -> float:
-        """The share since the last call, or since the beginning; above 1 where several cores were busy."""
-        at_s, used_s = monotonic_s(), processor_s()
-        elapsed_s, spent_s = at_s - self._at_s, used_s - self._used_s
-        self._at_s, self._used_s = at_s, used_s
-        return spent_s / elapsed_s if elapsed_s > 0 else 0.0
+    def __init__(self, kind: str, instance: str) -> None:
+        self.heartbeat, self.steps = 0, StepTimes()
+        self._kind, self._instance, self._host = kind, instance, socket.gethostname()
+        self._began_s = self._told_s = monotonic_s()
+        self._used_s = processor_s()
+
+    def health(
+        self,
+        at_ns: int,
+        config_hash: str,
+        fault: str,
+        inputs: tuple[InputHealth, ...],
+        outputs: tuple[OutputHealth, ...] = (),
+    ) -> AgentHealth:
+        """All of that as a message; the share of a processor is since the last one, above 1 where several were busy."""
+        now_s, used_s = monotonic_s(), processor_s()
+        elapsed_s, spent_s = now_s - self._told_s, used_s - self._used_s
+        self._told_s, self._used_s = now_s, used_s
+        step_ms_p50, step_ms_p99 = self.steps.percentiles(50, 99)
+        return AgentHealth(
+            agent=self._kind,
+            instance=self._instance,
+            host=self._host,
+            version=schemas.__version__,
+            config_hash=config_hash,
+            at_ns=at_ns,
+            uptime_s=now_s - self._began_s,
+            heartbeat=self.heartbeat,
+            step_ms_p50=step_ms_p50,
+            step_ms_p99=step_ms_p99,
+            inputs=inputs,
+            outputs=outputs,
+            fault=fault,
+            processor_share=spent_s / elapsed_s if elapsed_s > 0 else 0.0,
+            resident_bytes=resident_bytes(),
+        )

@@ -26,7 +26,7 @@ from shared.runtime.attachment import Attachment, beside_of, encoding_of, other_
 from shared.runtime.clocks import AgentClock
 from shared.runtime.commands import STATUS, Answered, accepted, id_of, stops_unread
 from shared.runtime.delivery import Rows, as_told, subscribe
-from shared.runtime.progress import Handled
+from shared.runtime.facts import Handled
 
 
 class Arrival(NamedTuple):

@@ -22,7 +22,7 @@ from shared.runtime.agent import Agent, Later
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import AgentClock
 from shared.runtime.delivery import Rows, as_told, declare_publisher, payload_of
-from shared.runtime.progress import Handled
+from shared.runtime.facts import Handled
 from shared.runtime.session import Session
 
 TICK, OMITTED = "tick", "omitted"

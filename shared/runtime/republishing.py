@@ -20,7 +20,7 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import send_command
 from shared.runtime.connection import ROUTER_WAIT_S, open_when_there
 from shared.runtime.delivery import as_told, declare_publisher
-from shared.runtime.progress import ask_progress
+from shared.runtime.facts import ask_progress
 from shared.runtime.session import SessionSettings
 
 REPLAY = REPLAY_CLOCK.agent

@@ -14,13 +14,12 @@ from schemas.messages import AgentFacts, ClockReading, Heartbeat, Hold, Outcome,
 from schemas.topics import FRAMES, HEALTH, HEARTBEAT, HOLD, LOG, PLAN, key
 from shared.runtime.agent import Input
 from shared.runtime.attachment import LAYOUT, Attachment, encoding_of, other_key, pack, unpack
-from shared.runtime.clocks import CLOCK, clock_offset
+from shared.runtime.clocks import clock_offset
 from shared.runtime.commands import accepted, new_header, send_command
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher, subscribe
-from shared.runtime.facts import FACTS, ask_facts
+from shared.runtime.facts import CLOCK, FACTS, PROGRESS, ask_facts, ask_progress
 from shared.runtime.lossless import is_of
-from shared.runtime.progress import PROGRESS, ask_progress
 from shared.runtime.taps import tap
 from tests.shared.runtime.conftest import Idle, beside, frame_bytes
 
