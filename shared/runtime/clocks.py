@@ -27,6 +27,7 @@ from shared.clock import monotonic_ns, monotonic_s, now_ns
 from shared.runtime.attachment import other_key
 from shared.runtime.delivery import subscribe
 from shared.runtime.facts import CLOCK
+from shared.runtime.session import present
 
 SILENCE_S = 1.0
 """Without a word for longer than this, a replay is over."""
@@ -220,10 +221,8 @@ class ClockWatch:
             self._ended.wait(SOON_S if apart else PERIOD_S)
 
     def _measured(self) -> tuple[HostClock, ...]:
-        replies = self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0)
-        named = [str(reply.ok.key_expr).split("/")[2:4] for reply in replies if reply.ok is not None]
         clocks: list[HostClock] = []
-        for kind, instance in sorted(named):
+        for _, kind, instance in present(self._session, key_root(self._rig, "*", "*")) or []:
             if kind in self._kinds and not self._ended.is_set():
                 offset = clock_offset(self._session, self._rig, kind, instance, WATCHED_TRIPS)
                 told = (offset.host, offset.ahead_ms, offset.within_ms) if offset else ("", None, None)

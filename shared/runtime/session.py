@@ -23,7 +23,7 @@ from typing import Any
 
 import zenoh
 
-from schemas.topics import Topic
+from schemas.topics import Topic, key_root
 from shared.clock import monotonic_s
 from shared.runtime.identity import Identity, IdentityError, check_identity
 
@@ -203,8 +203,17 @@ def on_loopback(endpoint: str) -> bool:
 
 def runs_already(session: zenoh.Session, rig: str, kind: str, instance: str) -> bool:
     """Whether an agent of that kind and instance is alive: two that drive one arm would fight over it."""
-    replies = session.liveliness().get(f"suturegrasp/{rig}/{kind}/{instance}", timeout=1.0)
+    replies = session.liveliness().get(key_root(rig, instance, kind), timeout=1.0)
     return any(reply.ok is not None for reply in replies)
+
+
+def present(session: zenoh.Session, roots: str) -> list[tuple[str, str, str]] | None:
+    """Which agents are there whose keys begin so: rig, kind and instance; None where the router gives no answer."""
+    replies = list(session.liveliness().get(roots, timeout=1.0))
+    if any(reply.err is not None for reply in replies):
+        return None
+    names = (str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None)
+    return sorted((rig, kind, instance) for _, rig, kind, instance in names)
 
 
 def free_local_endpoint() -> str:
