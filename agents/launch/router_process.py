@@ -6,10 +6,11 @@ import threading
 
 from agents.configuration.rig import RigConfig
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop
+from agents.launch.refused_links import RefusedLinks
 from shared.runtime.access import access_control
 from shared.runtime.config import ConfigError
 from shared.runtime.process import serving
-from shared.runtime.session import RefusedLinks, RouterError, Session, open_router
+from shared.runtime.session import RouterError, Session, open_router
 from shared.runtime.taps import logs_published
 from shared.terminal import complain
 
