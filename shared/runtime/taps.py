@@ -147,6 +147,23 @@ class LogTopic(logging.Handler):
         self.release()
 
 
+@contextmanager
+def logs_published(
+    session: Session, rig: str, kind: str, logger: logging.Logger, otherwise: Rows = (), instance: str = MAIN
+) -> Generator[Outlets]:
+    """Publish each record of a logger under the key root of a process, for as long as it is needed."""
+    out = Outlets(session, rig, (kind, instance), AgentClock(), otherwise)
+    out.declare(LOG)
+    handler = LogTopic(kind, instance, lambda record: out.publish(LOG, record))
+    logger.addHandler(handler)
+    try:
+        yield out
+    finally:
+        logger.removeHandler(handler)
+        handler.await_quiet()
+        out.undeclare()
+
+
 PERIOD_S = 1.0
 
 
@@ -167,56 +184,34 @@ def reporting(
 
     `heard` tells of what it listens to.
     """
-    out = Outlets(session, rig, (kind, instance), AgentClock(), otherwise)
-    for topic in (HEALTH, LOG):
-        out.declare(topic)
-    log_topic = LogTopic(kind, instance, lambda record: out.publish(LOG, record))
     root, surroundings, granted = key_root(rig, instance, kind), around or Surroundings(), realtime_priority()
-    kept = [
-        session.liveliness().declare_token(root),
-        answer_clock(session, root),
-        answer_facts(session, root, lambda: facts_of(session, kind, instance, config_hash, surroundings, granted)),
-        answer_link(session, root),
-        RouterWatch(session, logger.warning),
-    ]
-    logger.addHandler(log_topic)
     vitals, stopped = Vitals(kind, instance), threading.Event()
+    with logs_published(session, rig, kind, logger, otherwise, instance) as out:
+        out.declare(HEALTH)
+        kept = [
+            session.liveliness().declare_token(root),
+            answer_clock(session, root),
+            answer_facts(session, root, lambda: facts_of(session, kind, instance, config_hash, surroundings, granted)),
+            answer_link(session, root),
+            RouterWatch(session, logger.warning),
+        ]
 
-    def tell() -> None:
-        vitals.heartbeat += 1
-        out.publish(HEALTH, vitals.health(now_ns(), config_hash, fault(), heard()))
+        def tell() -> None:
+            vitals.heartbeat += 1
+            out.publish(HEALTH, vitals.health(now_ns(), config_hash, fault(), heard()))
 
-    def repeat() -> None:
-        while not stopped.is_set():
+        def repeat() -> None:
+            while not stopped.is_set():
+                tell()
+                stopped.wait(PERIOD_S)
+
+        thread = threading.Thread(target=repeat, name="health", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            stopped.set()
+            thread.join()
             tell()
-            stopped.wait(PERIOD_S)
-
-    thread = threading.Thread(target=repeat, name="health", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        stopped.set()
-        thread.join()
-        tell()
-        logger.removeHandler(log_topic)
-        log_topic.await_quiet()
-        for declared in (*kept, out):
-            declared.undeclare()
-
-
-@contextmanager
-def logs_published(
-    session: Session, rig: str, kind: str, logger: logging.Logger, otherwise: Rows = ()
-) -> Generator[None]:
-    """Publish each record of a logger under the key root of `kind`, for as long as it is needed."""
-    out = Outlets(session, rig, (kind, MAIN), AgentClock(), otherwise)
-    out.declare(LOG)
-    handler = LogTopic(kind, MAIN, lambda record: out.publish(LOG, record))
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        handler.await_quiet()
-        out.undeclare()
+            for declared in kept:
+                declared.undeclare()
