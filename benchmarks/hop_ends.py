@@ -21,9 +21,9 @@ import zenoh
 from schemas.codec import decode
 from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogRecord, StereoFrame
 from schemas.topics import FRAMES, LOG, Topic, key
-from shared.clock import monotonic_s
+from shared.clock import monotonic_s, processor_s
 from shared.images import decode_image
-from shared.runtime.attachment import Attachment, pack, unpack
+from shared.runtime.attachment import Attachment, beside_of, pack
 from shared.runtime.delivery import declare_publisher, payload_of, subscribe
 from shared.runtime.intake import Arrival, Inbox
 from shared.runtime.process import keep_freed_memory
@@ -44,11 +44,13 @@ class Load:
     Fields:
         size: width and height of each raw colour image of a frame, in pixels; zeros for an event of 1 kB.
         count: messages that count.
+        compressed: bytes of each image where they are compressed, and so looked at by nobody; 0 where they are raw.
     """
 
     size: tuple[int, int]
     count: int
     rate_hz: float
+    compressed: int = 0
 
     @property
     def is_frame(self) -> bool:
@@ -57,7 +59,9 @@ class Load:
     @property
     def bytes(self) -> int:
         """Of what matters in a message."""
-        return 2 * 3 * self.size[0] * self.size[1] if self.is_frame else EVENT_BYTES
+        if not self.is_frame:
+            return EVENT_BYTES
+        return 2 * (self.compressed or 3 * self.size[0] * self.size[1])
 
     @property
     def topic(self) -> Topic:
@@ -86,7 +90,7 @@ class End:
         return json.dumps(asdict(self))
 
 
-def _end_of(text: str) -> End:
+def end_of(text: str) -> End:
     given = json.loads(text)
     return End(given["role"], given["endpoint"], Load(**given["load"]), given["bare"])
 
@@ -94,7 +98,7 @@ def _end_of(text: str) -> End:
 def main() -> None:
     """Be the end that the first argument describes; readings are printed as one line of JSON."""
     keep_freed_memory()
-    end = _end_of(sys.argv[1])
+    end = end_of(sys.argv[1])
     with contextlib.ExitStack() as stack:
         session = stack.enter_context(open_session(SessionSettings(rig=RIG, endpoint=end.endpoint)))
         if end.bare:
@@ -107,7 +111,7 @@ def main() -> None:
 def send(session: Any, load: Load) -> list[dict[str, float]]:
     """Publish at the given rate; of each message when it was begun, encoded and handed to Zenoh, in seconds."""
     publisher = declare_publisher(session, load.key, load.topic)
-    message = _message_of(load)
+    message = message_of(load)
     readings: list[dict[str, float]] = []
     for sequence in _paced(load):
         begun_s = monotonic_s()
@@ -115,6 +119,7 @@ def send(session: Any, load: Load) -> list[dict[str, float]]:
         encoded_s = monotonic_s()
         publisher.put(payload, attachment=pack(Attachment(1, sequence, 0, 0.0)))
         readings.append({"sequence": sequence, "begun": begun_s, "encoded": encoded_s, "put": monotonic_s()})
+        readings[-1]["sender's processor"] = processor_s()
     return readings[WARM_UP:]
 
 
@@ -136,11 +141,11 @@ def receive(session: Any, load: Load) -> list[dict[str, float]]:
 
     def put_away(sample: Any) -> None:
         at_s = monotonic_s()
-        attachment = sample.attachment.to_bytes()
-        (inbox.put_newest if latest else inbox.put)(Arrival(load.topic, load.key, sample.payload.to_bytes, attachment))
-        received[_sequence(attachment)] = at_s
+        beside = beside_of(sample, load.key)
+        (inbox.put_newest if latest else inbox.put)(Arrival(load.topic, load.key, sample.payload.to_bytes, beside))
+        received[_number(beside)] = at_s
 
-    kept = subscribe(session, load.key, load.topic, put_away, lambda _: None)
+    subscriber = subscribe(session, load.key, load.topic, put_away, lambda _: None)
     print("ready", flush=True)
     readings: list[dict[str, float]] = []
     quiet_until_s = monotonic_s() + 4 * PATIENCE_S
@@ -151,11 +156,11 @@ def receive(session: Any, load: Load) -> list[dict[str, float]]:
         taken_s = monotonic_s()
         _look_at(decode(load.topic.message, arrival.payload()), load)
         decoded_s = monotonic_s()
-        sequence = _sequence(arrival.attachment)
-        readings.append({"sequence": sequence, "taken": taken_s, "decoded": decoded_s})
+        sequence = _number(arrival.beside)
+        processor = {"receiver's processor": processor_s()}
+        readings.append({"sequence": sequence, "taken": taken_s, "decoded": decoded_s, **processor})
         quiet_until_s = decoded_s + (PATIENCE_S if sequence < load.count + WARM_UP - 1 else 0.0)
-    for declared in kept:
-        declared.undeclare()
+    subscriber.undeclare()
     return [{**row, "received": received[int(row["sequence"])]} for row in readings if row["sequence"] >= WARM_UP]
 
 
@@ -171,6 +176,7 @@ def send_bare(session: Any, load: Load) -> list[dict[str, float]]:
     for sequence in _paced(load):
         readings.append({"sequence": sequence, "begun": monotonic_s()})
         publisher.put(payload, attachment=sequence.to_bytes(8, "big"))
+        readings[-1]["sender's processor"] = processor_s()
     return readings[WARM_UP:]
 
 
@@ -183,19 +189,23 @@ def receive_bare(session: Any, load: Load) -> list[dict[str, float]]:
         assert len(sample.payload.to_bytes()) == load.bytes
         at_s = monotonic_s()
         came.append({"sequence": int.from_bytes(sample.attachment.to_bytes(), "big"), "decoded": at_s})
+        came[-1]["receiver's processor"] = processor_s()
         newest[0] = at_s + PATIENCE_S
         if came[-1]["sequence"] == load.count + WARM_UP - 1:
             turn.set()
 
     if load.is_frame:
         subscriber = session.declare_subscriber(load.key, zenoh.handlers.RingChannel(1))
-        threading.Thread(target=_empty, args=(subscriber.handler, take), daemon=True).start()
+        emptying = threading.Thread(target=_empty, args=(subscriber.handler, take), daemon=True)
     else:
         subscriber = session.declare_subscriber(load.key, take)
+        emptying = threading.Thread()
+    emptying.start()
     print("ready", flush=True)
     while not turn.is_set() and monotonic_s() < newest[0]:
         turn.wait(0.5)
     subscriber.undeclare()
+    emptying.join(PATIENCE_S)
     return [row for row in came if row["sequence"] >= WARM_UP]
 
 
@@ -205,27 +215,26 @@ def _empty(channel: Any, take: Callable[[Any], None]) -> None:
             take(channel.recv())
 
 
-def _sequence(attachment: bytes) -> int:
-    beside = unpack(attachment)
+def _number(beside: Attachment | None) -> int:
     assert beside is not None, "the sender's attachment is whole"
     return beside.sequence
 
 
-def _message_of(load: Load) -> Any:
+def message_of(load: Load) -> Any:
     """A function from a message's number to the message; pixels are those of noise, and made beforehand."""
     if not load.is_frame:
         return lambda sequence: LogRecord(sequence, AGENT, "main", LogLevel.INFO, "x" * EVENT_BYTES)
     width, height = load.size
-    random = np.random.default_rng(0)
+    encoding = ImageEncoding.JPEG if load.compressed else ImageEncoding.RAW
+    random, count = np.random.default_rng(0), load.compressed or width * height * 3
     left, right = (
-        Image(ImageEncoding.RAW, width, height, 3, random.integers(0, 256, width * height * 3, np.uint8).tobytes())
-        for _ in range(2)
+        Image(encoding, width, height, 3, random.integers(0, 256, count, np.uint8).tobytes()) for _ in range(2)
     )
     return lambda sequence: StereoFrame(FrameStamp(sequence, 0, 0, "none"), left, right)
 
 
 def _look_at(message: Any, load: Load) -> None:
-    if isinstance(message, StereoFrame):
+    if isinstance(message, StereoFrame) and not load.compressed:
         for image in (message.left, message.right):
             assert decode_image(image).shape == (load.size[1], load.size[0], 3)
 

@@ -59,7 +59,7 @@ def measure_hops(rounds: int, count: int) -> dict[str, Any]:
         environment, without = None, str(error)
     taken: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     load_before = os.getloadavg()[0]
-    with _router() as endpoint:
+    with router() as endpoint:
         for _ in range(rounds):
             for payload, size in SIZES.items():
                 for rate_hz in (CAMERA_HZ, QUICK_HZ[payload]):
@@ -79,42 +79,42 @@ def measure_hops(rounds: int, count: int) -> dict[str, Any]:
 
 def one_hop(endpoint: str, load: Load) -> list[dict[str, float]]:
     """Of each message that arrived, in seconds, when it reached each step."""
-    return _between(*(End(role, endpoint, load) for role in ("receive", "send")))
+    return between(*(End(role, endpoint, load) for role in ("receive", "send")))
 
 
 def bare_ms(endpoint: str, load: Load) -> list[float]:
     """Milliseconds of each hop of as many bytes by Zenoh's Python interface alone, by way of the router."""
-    rows = _between(*(End(role, endpoint, load, bare=True) for role in ("receive", "send")))
+    rows = between(*(End(role, endpoint, load, bare=True) for role in ("receive", "send")))
     return [1e3 * (row["decoded"] - row["begun"]) for row in rows]
 
 
-def _between(receiving: End, sending: End) -> list[dict[str, float]]:
-    receiver = _end(receiving)
+def between(*ends: End, program: tuple[str, ...] = ("benchmarks.hop_ends",)) -> list[dict[str, float]]:
+    """What a receiving and a sending end read of each message that arrived, both run by a module."""
+    receiver = _end(ends[0], program)
     assert receiver.stdout is not None
     assert receiver.stdout.readline() == "ready\n", "the receiving end has not started"
-    sent, _ = _end(sending).communicate(timeout=LIMIT_S)
+    sent, _ = _end(ends[1], program).communicate(timeout=LIMIT_S)
     received, _ = receiver.communicate(timeout=LIMIT_S)
     of_sender = {row["sequence"]: row for row in json.loads(sent)}
     return [of_sender[row["sequence"]] | row for row in json.loads(received)]
 
 
 @contextlib.contextmanager
-def _router() -> Generator[str]:
-    """The endpoint of a router that is a process of its own."""
-    endpoint = free_local_endpoint()
+def router(endpoint: str = "") -> Generator[str]:
+    """The endpoint of a router that is a process of its own; it is killed in the end."""
+    endpoint = endpoint or free_local_endpoint()
     command = [sys.executable, "-c", ROUTER_PROGRAM, endpoint]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        assert process.stdin is not None
         assert process.stdout.readline() == "up\n", "the router has not started"
         try:
             yield endpoint
         finally:
-            process.stdin.close()
+            process.kill()
 
 
-def _end(end: End) -> "subprocess.Popen[str]":
-    command = [sys.executable, "-m", "benchmarks.hop_ends", end.to_json()]
+def _end(end: End, program: tuple[str, ...]) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", *program, end.to_json()]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 

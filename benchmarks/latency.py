@@ -1,12 +1,13 @@
 """Latency: of one hop from process to process, and of the live dataflow of the demo, left running.
 
-    python -m benchmarks.latency [--only hops] [--only stages] [--seconds 20] [--json out/latency.json]
+    python -m benchmarks.latency [--only hops|stages|parts] [--seconds 20] [--json out/latency.json]
 
-Hops are those of benchmarks/hops.py, beside dora-rs in the same run where it can be had. Stages are latency and rate
-per stage, drops, frames that nobody accounts for, and what each process takes. The processes are those of `suturegrasp
-demo`, recorder and viewer included, on a router of their own; no goal is named. Latency is from capture until
-publication, both by this machine's clock, and read from the recording afterwards, so that measuring takes nothing. What
-happens in the first seconds, while processes start, is left out.
+Hops are those of benchmarks/hops.py, beside dora-rs in the same run where it can be had. Parts are those that
+benchmarks/parts.py leaves out of a hop one at a time, measured only where they are asked for. Stages are latency and
+rate per stage, drops, frames that nobody accounts for, and what each process takes. The processes are those of
+`suturegrasp demo`, recorder and viewer included, on a router of their own; no goal is named. Latency is from capture
+until publication, both by this machine's clock, and read from the recording afterwards, so that measuring takes
+nothing. What happens in the first seconds, while processes start, is left out.
 """
 
 import bisect
@@ -33,6 +34,7 @@ from agents.configuration.rig import RigConfig
 from agents.launch.session_folder import SessionFolder, new_session_folder
 from agents.launch.supervisor import Supervisor, supervised
 from benchmarks.hops import measure_hops, print_hops
+from benchmarks.parts import measure_parts, print_parts
 from schemas.codec import decode
 from schemas.messages import AgentHealth
 from schemas.topics import FRAMES, HEALTH, OBSERVATIONS, THREAD, Topic, topic_of
@@ -49,13 +51,13 @@ class Options:
     """What to measure, how long, and of which field.
 
     Fields:
-        only: hops or stages; both where none is named.
+        only: hops, stages or parts; hops and stages where none is named.
         settle: seconds that are left out at the beginning.
         rounds: of hops, whose medians count.
         messages: of each kind of hop in each round.
     """
 
-    only: Literal["hops", "stages"] | None = None
+    only: Literal["hops", "stages", "parts"] | None = None
     rounds: int = 3
     messages: int = 200
 
@@ -69,10 +71,13 @@ def main() -> None:
     """Measure, print a table, and write JSON where asked to."""
     options = tyro.cli(Options)
     measured: dict[str, Any] = {}
-    if options.only != "stages":
+    if options.only == "parts":
+        measured["parts"] = measure_parts(options.rounds, options.messages)
+        print_parts(Console(width=130), measured["parts"])
+    if options.only in (None, "hops"):
         measured["hops"] = measure_hops(options.rounds, options.messages)
         print_hops(Console(width=130), measured["hops"])
-    if options.only != "hops":
+    if options.only in (None, "stages"):
         measured |= measure(demo_rig(Demo(seed=options.seed)), options)
         print_tables(measured)
     if options.json is not None:

@@ -17,7 +17,6 @@ from shared.calibration.made import made_ns
 from shared.rendering.backdrop_files import SceneError
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import NoRouterError, open_when_there
-from shared.runtime.delivery import RouterLinks
 from shared.runtime.facts import Surroundings, ask_for_realtime
 from shared.runtime.process import keep_freed_memory
 from shared.runtime.runner import Runner
@@ -54,7 +53,7 @@ def _run(rig: RigConfig, kind: str, instance: str) -> int:
     with session:
         if runs_already(session, rig.rig, kind, instance):
             return complain(f"{kind} {instance} of rig {rig.rig} runs already; stop that one first", EXIT_UNUSABLE)
-        runner = Runner(agent, session, rig.rig, config_hash(rig), known, RouterLinks(rig.rows_otherwise))
+        runner = Runner(agent, session, rig.rig, config_hash(rig), known, rig.rows_otherwise)
         threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
         runner.run()
     return complain(runner.gave_up, EXIT_GAVE_UP) if runner.gave_up else EXIT_OK

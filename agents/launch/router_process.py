@@ -5,11 +5,11 @@ import logging
 
 from agents.configuration.rig import RigConfig
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, stopping
+from agents.launch.refused_links import RefusedLinks
 from shared.runtime.access import access_control
 from shared.runtime.config import ConfigError
-from shared.runtime.delivery import RouterLinks
 from shared.runtime.process import serving
-from shared.runtime.session import RefusedLinks, RouterError, open_router
+from shared.runtime.session import RouterError, open_router
 from shared.runtime.taps import logs_published
 from shared.terminal import complain
 
@@ -31,7 +31,7 @@ def run_router(rig: RigConfig) -> int:
         except (RouterError, ConfigError) as error:
             stack.close()
             return complain(str(error), EXIT_UNUSABLE)
-        stack.enter_context(logs_published(session, rig.rig, "router", LOG, RouterLinks(rig.rows_otherwise)))
+        stack.enter_context(logs_published(session, rig.rig, "router", LOG, rig.rows_otherwise))
         print(f"router on {rig.router_endpoint}", flush=True)
         with serving():
             stopped.wait()

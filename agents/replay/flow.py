@@ -1,7 +1,7 @@
 """A replay as fast as its consumers, that loses nothing: the next message waits until all has followed from the last.
 
 Consumers (agents, and listeners such as the recorder) tell which message of each key they are done with, and what they
-have published themselves (shared/runtime/progress.py). All is settled when each is done with the newest message of each
+have published themselves (shared/runtime/facts.py). All is settled when each is done with the newest message of each
 key that it listens to, those of other consumers included. One that publishes unasked is not waited for by others.
 
 How well a replay keeps the spacing is told too: of two messages of one key that follow each other, recorded d apart and
@@ -18,7 +18,7 @@ from jaxtyping import Float64, Int64
 from schemas.messages import Progress
 from schemas.topics import Delivery, topic_of
 from shared.clock import monotonic_s
-from shared.runtime.progress import matches
+from shared.runtime.facts import matches
 from shared.runtime.taps import TAP
 
 PATIENCE_S = 30.0

@@ -1,11 +1,13 @@
 """An agent's account of itself, of which its health tells: its topics, its steps, its faults, its processor."""
 
 import os
+import socket
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from schemas.messages import InputHealth, OutputHealth
+import schemas
+from schemas.messages import AgentHealth, InputHealth, OutputHealth
 from shared.clock import monotonic_s, processor_s
 from shared.runtime.attachment import Attachment
 
@@ -33,55 +35,16 @@ class Rate:
 
 
 @dataclass
-class RingLosses:
-    """Tells what a ring overwrote from what never reached it, from the messages that are taken out of it.
-
-    A ring that overwrites is full. So if it has overwritten since it was last seen empty, at least as many messages as
-    it has room for are taken out of it before it is seen empty again. Where fewer were, every number that is missing
-    among them was lost on the way. Where so many were, nobody knows, and what is missing counts as overwritten.
-
-    Fields:
-        room: messages that it holds.
-        lost: on the way, for certain.
-        overwritten: in the ring, as far as is known.
-    """
-
-    room: int
-    lost: int = 0
-    overwritten: int = 0
-    _taken: int = 0
-    _missing: int = 0
-    _last: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
-
-    def taken(self, key: str, beside: Attachment | None) -> None:
-        """Count a message that was taken out, and those of its key's sequence that lie between it and the last."""
-        self._taken += 1
-        if beside is not None:
-            epoch, sequence = self._last.get(key, (beside.epoch, beside.sequence - 1))
-            self._last[key] = (beside.epoch, beside.sequence)
-            self._missing += max(0, beside.sequence - sequence - 1) if epoch == beside.epoch else 0
-        if self._taken >= self.room:
-            self.overwritten, self._missing = self.overwritten + self._missing, 0
-
-    def emptied(self) -> None:
-        """The ring was seen empty."""
-        self.lost += self._missing
-        self._taken = self._missing = 0
-
-
-@dataclass
 class InputAccount:
     """What became of the messages of one input.
 
     Fields:
-        ring: what the receiving ring tells, where newest messages alone count.
-        skipped: sequence numbers between messages that were looked at.
-        missed: events that Zenoh reports as lost.
+        skipped: sequence numbers between messages that came.
+        missed: events that are known to be lost.
         unreadable: of those received, which an agent only remembers, and which could not be read when they were needed.
     """
 
     topic: str
-    ring: RingLosses | None = None
     rate: Rate = field(default_factory=Rate)
     received: int = 0
     skipped: int = 0
@@ -91,37 +54,30 @@ class InputAccount:
     age_ms: float | None = None
     _last: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
 
-    def arrived(self, key: str, beside: Attachment, now_ns: int, now_s: float) -> None:
-        """Count a message that was looked at, and those of its key's sequence that lie between it and the last."""
-        self.received += 1
-        self.rate.count(now_s)
-        self.age_ms = (now_ns - beside.published_ns) * 1e-6
-        self._follow(key, beside)
-
-    def refuse(self, key: str, beside: Attachment | None, counted: bool = False) -> None:
-        """Count a message that could not be read, which is refused, not missed; `counted`: as received, before."""
-        self.refused += 1
-        if counted:
-            # another thread counts what is received
-            self.unreadable += 1
-            return
-        if beside is not None:
-            self._follow(key, beside)
-
-    def _follow(self, key: str, beside: Attachment) -> None:
+    def came(self, key: str, beside: Attachment) -> None:
+        """Count those of its key's sequence that lie between a message that came and the last."""
         epoch, sequence = self._last.get(key, (beside.epoch, beside.sequence - 1))
         self._last[key] = (beside.epoch, beside.sequence)
         if epoch == beside.epoch:
             self.skipped += max(0, beside.sequence - sequence - 1)
 
+    def looked_at(self, beside: Attachment, now_ns: int, now_s: float) -> None:
+        """Count a message that somebody has looked at."""
+        self.received += 1
+        self.rate.count(now_s)
+        self.age_ms = (now_ns - beside.published_ns) * 1e-6
+
+    def refuse(self, counted: bool = False) -> None:
+        """Count a message that could not be read, which is refused, not missed; `counted`: as received, before."""
+        self.refused += 1
+        # another thread counts what is received
+        self.unreadable += counted
+
     def health(self, dropped: int, now_s: float) -> InputHealth:
         """This account as a message; `dropped` are those that the inbox replaced."""
-        if self.ring is not None:
-            missed, dropped = self.ring.lost, dropped + self.ring.overwritten
-        else:
-            missed = max(self.missed, self.skipped - dropped)
-        received, dropped, missed = self.received - self.unreadable, min(dropped, MOST), min(missed, MOST)
-        return InputHealth(self.topic, self.rate.hz(now_s), self.age_ms, received, dropped, missed, self.refused)
+        missed = min(max(self.missed, self.skipped), MOST)
+        received, rate_hz = self.received - self.unreadable, self.rate.hz(now_s)
+        return InputHealth(self.topic, rate_hz, self.age_ms, received, dropped, missed, self.refused)
 
 
 @dataclass
@@ -222,15 +178,47 @@ def resident_bytes() -> int:
         return 0
 
 
-class ProcessorShare:
-    """How much of one core this process used since it was last asked."""
+class Vitals:
+    """How a process fares, as its health tells.
 
-    def __init__(self) -> None:
-        self._at_s, self._used_s = monotonic_s(), processor_s()
+    Fields:
+        heartbeat: turns of its loop.
+        steps: how long they took; none of what takes no steps.
+    """
 
-    def since_last(self) -> float:
-        """The share since the last call, or since the beginning; above 1 where several cores were busy."""
-        at_s, used_s = monotonic_s(), processor_s()
-        elapsed_s, spent_s = at_s - self._at_s, used_s - self._used_s
-        self._at_s, self._used_s = at_s, used_s
-        return spent_s / elapsed_s if elapsed_s > 0 else 0.0
+    def __init__(self, kind: str, instance: str) -> None:
+        self.heartbeat, self.steps = 0, StepTimes()
+        self._kind, self._instance, self._host = kind, instance, socket.gethostname()
+        self._began_s = self._told_s = monotonic_s()
+        self._used_s = processor_s()
+
+    def health(
+        self,
+        at_ns: int,
+        config_hash: str,
+        fault: str,
+        inputs: tuple[InputHealth, ...],
+        outputs: tuple[OutputHealth, ...] = (),
+    ) -> AgentHealth:
+        """All of that as a message; the share of a processor is since the last one, above 1 where several were busy."""
+        now_s, used_s = monotonic_s(), processor_s()
+        elapsed_s, spent_s = now_s - self._told_s, used_s - self._used_s
+        self._told_s, self._used_s = now_s, used_s
+        step_ms_p50, step_ms_p99 = self.steps.percentiles(50, 99)
+        return AgentHealth(
+            agent=self._kind,
+            instance=self._instance,
+            host=self._host,
+            version=schemas.__version__,
+            config_hash=config_hash,
+            at_ns=at_ns,
+            uptime_s=now_s - self._began_s,
+            heartbeat=self.heartbeat,
+            step_ms_p50=step_ms_p50,
+            step_ms_p99=step_ms_p99,
+            inputs=inputs,
+            outputs=outputs,
+            fault=fault,
+            processor_share=spent_s / elapsed_s if elapsed_s > 0 else 0.0,
+            resident_bytes=resident_bytes(),
+        )

@@ -43,6 +43,12 @@ def unpack(data: bytes) -> Attachment | None:
     return Attachment(*LAYOUT.unpack(data)) if len(data) == LAYOUT.size else None
 
 
+def beside_of(sample: Any, key: str) -> Attachment | None:
+    """What came beside a sample under that key; None where that cannot be read, or it is one message for many keys."""
+    # such a message has a number in the sequence of none of them
+    return unpack(sample.attachment.to_bytes()) if sample.attachment is not None and "*" not in key else None
+
+
 _KEY = ";key="
 
 

@@ -11,7 +11,6 @@ them measured again and again, beside its loop.
 """
 
 import contextlib
-import socket
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,12 +20,14 @@ from typing import Any
 import zenoh
 
 from schemas.checks import MessageError
-from schemas.codec import decode, encode
+from schemas.codec import decode
 from schemas.messages import ClockReading, HostClock, ReplayClock
 from schemas.topics import REPLAY_CLOCK, key, key_root
 from shared.clock import monotonic_ns, monotonic_s, now_ns
-from shared.runtime.attachment import encoding_of, other_key
+from shared.runtime.attachment import other_key
 from shared.runtime.delivery import subscribe
+from shared.runtime.facts import CLOCK
+from shared.runtime.session import present
 
 SILENCE_S = 1.0
 """Without a word for longer than this, a replay is over."""
@@ -113,7 +114,7 @@ def _written(at_ns: int) -> str:
         return f"{at_ns} ns since 1970"
 
 
-def follow_replays(session: zenoh.Session, rig: str, clock: AgentClock) -> list[Any]:
+def follow_replays(session: zenoh.Session, rig: str, clock: AgentClock) -> Any:
     """Let a clock hear of the replays on a rig; what is returned is undeclared in the end."""
 
     def hear(sample: zenoh.Sample) -> None:
@@ -124,8 +125,6 @@ def follow_replays(session: zenoh.Session, rig: str, clock: AgentClock) -> list[
     return subscribe(session, key(rig, REPLAY_CLOCK), REPLAY_CLOCK, hear, lambda _: None)
 
 
-CLOCK = "clock"
-"""The last part of the key under which an agent answers; nothing is published there."""
 TRIPS = 8
 ANSWER_WAIT_S = 1.0
 
@@ -142,18 +141,6 @@ class ClockOffset:
     def least_ms(self) -> float:
         """How far the clocks are apart for certain."""
         return max(0.0, abs(self.ahead_ms) - self.within_ms)
-
-
-def answer_clock(session: zenoh.Session, rig: str, kind: str, instance: str) -> Any:
-    """Have this host's clock told to whoever asks the agent; keep what is returned."""
-    host, own = socket.gethostname(), f"{key_root(rig, instance, kind)}/{CLOCK}"
-
-    def answer(query: zenoh.Query) -> None:
-        reading = encode(ClockReading(host, now_ns()))
-        query.reply(own, reading, encoding=encoding_of(ClockReading, own))
-        query.drop()
-
-    return session.declare_queryable(own, answer)
 
 
 def clock_offset(session: zenoh.Session, rig: str, kind: str, instance: str, trips: int = TRIPS) -> ClockOffset | None:
@@ -234,10 +221,8 @@ class ClockWatch:
             self._ended.wait(SOON_S if apart else PERIOD_S)
 
     def _measured(self) -> tuple[HostClock, ...]:
-        replies = self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0)
-        named = [str(reply.ok.key_expr).split("/")[2:4] for reply in replies if reply.ok is not None]
         clocks: list[HostClock] = []
-        for kind, instance in sorted(named):
+        for _, kind, instance in present(self._session, key_root(self._rig, "*", "*")) or []:
             if kind in self._kinds and not self._ended.is_set():
                 offset = clock_offset(self._session, self._rig, kind, instance, WATCHED_TRIPS)
                 told = (offset.host, offset.ahead_ms, offset.within_ms) if offset else ("", None, None)

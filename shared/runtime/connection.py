@@ -19,15 +19,15 @@ import zenoh
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
 from schemas.messages import AgentConfiguration, AgentFacts, CommandAnswer, SetParameter
-from schemas.topics import CONFIGURATION, MAIN, SET, Topic, key
+from schemas.topics import CONFIGURATION, MAIN, SET, Topic, key, key_root
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import ClockOffset, clock_offset
 from shared.runtime.commands import new_header, send_command
-from shared.runtime.delivery import RouterLinks, as_told, declare_publisher
+from shared.runtime.delivery import as_told, declare_publisher
 from shared.runtime.facts import Link, Surroundings, ask_facts, measure_link
 from shared.runtime.identity import IdentityError
-from shared.runtime.session import SessionSettings, open_session
+from shared.runtime.session import SessionSettings, open_session, present
 from shared.runtime.taps import TapAccounts, Tapped, reporting, tap
 
 ROUTER_WAIT_S = 3.0
@@ -81,17 +81,13 @@ class Connection:
 
     def present_if_told(self) -> list[str] | None:
         """Which agents are there, as `kind/instance`; None where the router gives no answer."""
-        replies = list(self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0))
-        if any(reply.err is not None for reply in replies):
-            return None
-        found = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
-        return sorted("/".join(name.split("/")[-2:]) for name in found)
+        told = present(self._session, key_root(self._rig, "*", "*"))
+        return None if told is None else [f"{kind}/{instance}" for _, kind, instance in told]
 
     def other_rigs(self) -> list[str]:
         """Whose agents are there beside this rig's, on the same router; none where nobody tells."""
-        replies = self._session.liveliness().get("suturegrasp/*/*/*", timeout=1.0)
-        rigs = {str(reply.ok.key_expr).split("/")[1] for reply in replies if reply.ok is not None}
-        return sorted(rigs - {self._rig})
+        told = present(self._session, key_root("*", "*", "*")) or []
+        return sorted({rig for rig, _, _ in told} - {self._rig})
 
     def clocks(self) -> dict[str, ClockOffset | None]:
         """How far the clock of each agent's host is from this one's; None where the agent gives no answer."""
@@ -172,8 +168,8 @@ class Connection:
 
         What it hears by `listen` is counted in its health, where any of it had to be refused.
         """
-        links, heard = RouterLinks(self._otherwise), self._accounts.health
-        return reporting(self._session, self._rig, kind, instance, logger, fault, config_hash, around, links, heard)
+        told = logger, fault, config_hash, around, self._otherwise, self._accounts.health
+        return reporting(self._session, self._rig, kind, instance, *told)
 
     def close(self) -> None:
         """Stop listening."""

@@ -1,19 +1,23 @@
-"""What every agent answers at once, from Zenoh's thread: where it runs, what it was granted there, and the way to it.
+"""What every agent answers at once, from Zenoh's threads, however long a step takes.
 
-The way between two hosts is how long a round trip takes, and how much passes in a second. An agent answers with as many
-bytes as it is asked for; so the way from it is measured, and the way to it by questions that carry as many. All are
-random, so that nothing on the way can make them fewer.
+It tells its host's time, where it runs and what it was granted there, how far it has got with each key, and sends as
+many bytes as it is asked for: so the way from it is measured, and the way to it by questions that carry as many. Those
+bytes are random, so that nothing on the way can make them fewer.
+
+A replay that goes as fast as its consumers asks for their progress after each message, and sends the next one when all
+has been handled that follows from it.
 """
 
+import contextlib
 import importlib.metadata
 import os
 import platform
 import shutil
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import zenoh
@@ -21,16 +25,17 @@ import zenoh
 import schemas
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
-from schemas.messages import AgentFacts, RigSection, TopicOverride
+from schemas.messages import AgentFacts, ClockReading, Consumed, Progress, RigSection, TopicOverride
 from schemas.topics import key_root
 from schemas.wire import schemas_hash
 from shared.clock import monotonic_s, now_ns, processor_s
 from shared.runtime.accounts import resident_bytes
 from shared.runtime.attachment import encoding_of, other_key
 
-FACTS = "facts"
-"""The last part of the key under which an agent answers; nothing is published there."""
-ANSWER_WAIT_S = 2.0
+FACTS, CLOCK, PROGRESS, LINK = "facts", "clock", "progress", "link"
+"""The last parts of the keys under which an agent answers; nothing is published there."""
+ANSWER_WAIT_S, PROGRESS_WAIT_S = 2.0, 1.0
+M = TypeVar("M")
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,7 @@ def facts_of(
         schemas_hash=schemas_hash(),
         config_hash=config_hash,
         python=platform.python_version(),
-        zenoh=_zenoh_version(),
+        zenoh=importlib.metadata.version("eclipse-zenoh"),
         shared_memory=shared_memory,
         shared_memory_reason=why,
         realtime_asked=around.realtime_asked,
@@ -109,36 +114,83 @@ def realtime_priority() -> int | None:
 
 def answer_facts(session: zenoh.Session, root: str, facts: Callable[[], AgentFacts]) -> Any:
     """Have the facts told to whoever asks, under the root of an agent's keys; keep what is returned."""
-    own = f"{root}/{FACTS}"
+    return _answer(session, f"{root}/{FACTS}", facts)
 
+
+def ask_facts(session: zenoh.Session, rig: str, kind: str = "*", instance: str = "*") -> dict[str, AgentFacts]:
+    """The facts of every agent that answers, by `kind/instance`."""
+    return _ask(session, f"{key_root(rig, instance, kind)}/{FACTS}", AgentFacts, ANSWER_WAIT_S)
+
+
+def answer_clock(session: zenoh.Session, root: str) -> Any:
+    """Have this host's clock told to whoever asks; keep what is returned."""
+    host = socket.gethostname()
+    return _answer(session, f"{root}/{CLOCK}", lambda: ClockReading(host, now_ns()))
+
+
+class Handled:
+    """The newest message of each key that a consumer is done with; one thread notes, others read."""
+
+    def __init__(self) -> None:
+        self._newest: dict[str, tuple[int, int]] = {}
+
+    def note(self, key: str, epoch: int, sequence: int) -> None:
+        """A message is done with, and whatever followed from it has been published."""
+        self._newest[key] = epoch, sequence
+
+    def listed(self) -> tuple[Consumed, ...]:
+        """What was noted so far."""
+        return tuple(Consumed(key, *place) for key, place in dict(self._newest).items())
+
+
+def answer_progress(
+    session: zenoh.Session,
+    root: str,
+    listens: Iterable[str],
+    handled: Handled,
+    published: Callable[[], tuple[Consumed, ...]] = lambda: (),
+) -> Any:
+    """Have it told how far a consumer has got, under the root of its keys; keep what is returned."""
+    selectors = " ".join(listens)
+
+    def progress() -> Progress:
+        # what follows from a message is published before it is noted: in this order, nothing that followed is missing
+        noted = handled.listed()
+        return Progress(selectors, noted, published())
+
+    return _answer(session, f"{root}/{PROGRESS}", progress)
+
+
+def ask_progress(session: zenoh.Session, rig: str) -> dict[str, Progress]:
+    """How far every consumer of a rig has got, as `kind/instance`."""
+    return _ask(session, f"{key_root(rig, '*', '*')}/{PROGRESS}", Progress, PROGRESS_WAIT_S)
+
+
+def matches(selector: str, key: str) -> bool:
+    """Whether a key is one of those that a consumer listens to; `*` stands for any one part."""
+    ours, theirs = selector.split("/"), key.split("/")
+    return len(ours) == len(theirs) and all(a in ("*", b) for a, b in zip(ours, theirs, strict=True))
+
+
+def _answer(session: zenoh.Session, own: str, told: Callable[[], Any]) -> Any:
     def answer(query: zenoh.Query) -> None:
-        query.reply(own, encode(facts()), encoding=encoding_of(AgentFacts, own))
+        message = told()
+        query.reply(own, encode(message), encoding=encoding_of(type(message), own))
         query.drop()
 
     return session.declare_queryable(own, answer)
 
 
-def ask_facts(session: zenoh.Session, rig: str, kind: str = "*", instance: str = "*") -> dict[str, AgentFacts]:
-    """The facts of every agent that answers, by `kind/instance`."""
-    replies = session.get(
-        f"{key_root(rig, instance, kind)}/{FACTS}",
-        target=zenoh.QueryTarget.ALL,
-        consolidation=zenoh.ConsolidationMode.NONE,
-        timeout=ANSWER_WAIT_S,
-    )
-    found: dict[str, AgentFacts] = {}
-    for reply in replies:
+def _ask(session: zenoh.Session, selector: str, message_type: type[M], wait_s: float) -> dict[str, M]:
+    """What everybody answers, by `kind/instance`; what cannot be read, or names another key, is left out."""
+    everybody, unmerged = zenoh.QueryTarget.ALL, zenoh.ConsolidationMode.NONE
+    found: dict[str, M] = {}
+    for reply in session.get(selector, target=everybody, consolidation=unmerged, timeout=wait_s):
         if reply.ok is not None and not other_key(reply.ok.encoding, str(reply.ok.key_expr)):
-            try:
-                told = decode(AgentFacts, reply.ok.payload.to_bytes())
-            except MessageError:
-                continue
-            found["/".join(str(reply.ok.key_expr).split("/")[2:4])] = told
+            with contextlib.suppress(MessageError):
+                name = "/".join(str(reply.ok.key_expr).split("/")[2:4])
+                found[name] = decode(message_type, reply.ok.payload.to_bytes())
     return dict(sorted(found.items()))
-
-
-def _zenoh_version() -> str:
-    return importlib.metadata.version("eclipse-zenoh")
 
 
 def _shared_memory(session: zenoh.Session) -> tuple[bool, str]:
@@ -176,8 +228,6 @@ def _free_bytes(folder: Path) -> int | None:
         return None
 
 
-LINK = "link"
-"""The last part of the key under which an agent answers; nothing is published there."""
 BYTES = "bytes"
 MOST_BYTES = 4 << 20
 FRAME_BYTES = 1_500_000

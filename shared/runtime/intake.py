@@ -20,13 +20,13 @@ from schemas.codec import encode
 from schemas.messages import CommandAnswer, InputHealth, Outcome
 from schemas.topics import Delivery, Topic, key
 from shared.clock import monotonic_s
-from shared.runtime.accounts import InputAccount, RingLosses
+from shared.runtime.accounts import InputAccount
 from shared.runtime.agent import Agent, Input, only_remembers
-from shared.runtime.attachment import Attachment, encoding_of, other_key, unpack
+from shared.runtime.attachment import Attachment, beside_of, encoding_of, other_key
 from shared.runtime.clocks import AgentClock
 from shared.runtime.commands import STATUS, Answered, accepted, id_of, stops_unread
-from shared.runtime.delivery import RouterLinks, Unlooked, ring_room, subscribe_unlooked
-from shared.runtime.progress import Handled
+from shared.runtime.delivery import Rows, as_told, subscribe
+from shared.runtime.facts import Handled
 
 
 class Arrival(NamedTuple):
@@ -34,6 +34,7 @@ class Arrival(NamedTuple):
 
     Fields:
         payload: gives the bytes; of what is dropped, they are never copied.
+        beside: what travelled with it; None where nothing that can be read did.
         answer: sends the answer of a command; None for anything else.
         named: the key that it names as its own, where it came under another; it is to be refused.
     """
@@ -41,7 +42,7 @@ class Arrival(NamedTuple):
     topic: Topic
     key: str
     payload: Callable[[], bytes]
-    attachment: bytes
+    beside: Attachment | None = None
     answer: Callable[[CommandAnswer], None] | None = None
     named: str = ""
 
@@ -149,110 +150,55 @@ class Intake:
     """
 
     def __init__(self, agent: Agent, clock: AgentClock, log: logging.Logger) -> None:
-        self.inbox, self.handled = Inbox(), Handled(self._look)
-        self._unlooked: list[Unlooked] = []
-        self._agent, self._inputs, self._clock, self._log = agent, agent.inputs, clock, log
+        self.inbox, self.handled = Inbox(), Handled()
+        self._agent, self._clock, self._log = agent, clock, log
         self._accounts = {str(i.topic): InputAccount(str(i.topic)) for i in agent.inputs}
 
-    def listen(self, session: zenoh.Session, rig: str, links: RouterLinks) -> list[Any]:
+    def listen(self, session: zenoh.Session, rig: str, otherwise: Rows = ()) -> list[Any]:
         """Subscribe to every input; what is returned is undeclared in the end."""
-        declared: list[Any] = []
-        for wanted in self._inputs:
-            selector, account = key(rig, wanted.topic, wanted.instance), self.account(wanted.topic)
-            if wanted.topic.delivery is Delivery.LATEST:
-                account.ring = RingLosses(ring_room(selector))
-                if wanted.only_remembered:
-                    declared += subscribe_unlooked(session, selector, self._waiting(wanted, account.ring))
-                    continue
-            ways = self._receiver(wanted), self._miss_counter(wanted.topic), account.ring, self._refuser(wanted.topic)
-            declared += links.subscribe(session, selector, wanted.topic, *ways)
-        return declared
+        return [
+            subscribe(session, key(rig, wanted.topic, wanted.instance), as_told(wanted.topic, otherwise), *ways)
+            for wanted, ways in ((wanted, self._ways(wanted)) for wanted in self._agent.inputs)
+        ]
 
     def account(self, topic: Topic) -> InputAccount:
         """The counts of one input."""
         return self._accounts[str(topic)]
 
-    def arrived(self, topic: Topic, key: str, beside: Attachment) -> None:
+    def looked_at(self, topic: Topic, beside: Attachment) -> None:
         """Count a message that is looked at."""
-        self.account(topic).arrived(key, beside, self._clock.now_ns(), monotonic_s())
-
-    def remembered(self) -> list[Arrival]:
-        """What was to be remembered since the last call, the newest of each key."""
-        self._look()
-        return self.inbox.remembered()
+        self.account(topic).looked_at(beside, self._clock.now_ns(), monotonic_s())
 
     def health(self, now_s: float) -> tuple[InputHealth, ...]:
         """How every input does."""
-        self._look()
-        return tuple(self.account(i.topic).health(self.inbox.dropped(i.topic), now_s) for i in self._inputs)
+        return tuple(self.account(i.topic).health(self.inbox.dropped(i.topic), now_s) for i in self._agent.inputs)
 
-    def _receiver(self, wanted: Input) -> Callable[[zenoh.Sample], None]:
-        latest = wanted.topic.delivery is Delivery.LATEST
-        put = self.inbox.put_newest if latest else self.inbox.put
+    def _ways(self, wanted: Input) -> tuple[Callable[[zenoh.Sample], None], Callable[[int], None], Any]:
+        """What is done with a message of an input, with the number of those that were lost, and with a wrong key."""
+        topic, account = wanted.topic, self.account(wanted.topic)
+        put = self.inbox.put_newest if topic.delivery is Delivery.LATEST else self.inbox.put
 
         def receive(sample: zenoh.Sample) -> None:
-            key, beside = str(sample.key_expr), sample.attachment
-            # one message for many keys is none of any of them
-            attachment = beside.to_bytes() if beside is not None and "*" not in key else b""
-            arrival = Arrival(wanted.topic, key, sample.payload.to_bytes, attachment)
+            key = str(sample.key_expr)
+            beside = beside_of(sample, key)
+            arrival = Arrival(topic, key, sample.payload.to_bytes, beside)
+            if beside is not None:
+                account.came(key, beside)
+                if only_remembers(self._agent, wanted):
+                    self.inbox.remember(arrival)
+                    self.looked_at(topic, beside)
+                    self.handled.note(key, beside.epoch, beside.sequence)
+                    return
             put(arrival)
 
-        return receive
+        def missed(count: int) -> None:
+            account.missed += count
+            self._log.error("%d messages of %s were lost", count, topic)
 
-    def _look(self) -> None:
-        """Look at all that waits."""
-        for unlooked in self._unlooked:
-            unlooked.look()
+        def refused(key: str, named: str) -> None:
+            self.inbox.put(Arrival(topic, key, bytes, named=named))
 
-    def _waiting(self, wanted: Input, ring: RingLosses) -> Unlooked:
-        """Where samples wait of what is only remembered."""
-        refuse = self._refuser(wanted.topic)
-
-        def look_at(sample: zenoh.Sample, came_s: float) -> None:
-            key, beside = str(sample.key_expr), sample.attachment
-            if named := other_key(sample.encoding, key):
-                ring.taken(key, None)
-                refuse(key, named)
-                return
-            attachment = beside.to_bytes() if beside is not None else b""
-            ring.taken(key, unpack(attachment))
-            # one message for many keys is none of any of them
-            arrival = Arrival(wanted.topic, key, sample.payload.to_bytes, b"" if "*" in key else attachment)
-            if only_remembers(self._agent, wanted):
-                self._remember(arrival, came_s)
-            else:
-                self.inbox.put_newest(arrival)
-
-        unlooked = Unlooked(look_at, ring.emptied, lambda: not only_remembers(self._agent, wanted))
-        self._unlooked.append(unlooked)
-        return unlooked
-
-    def _remember(self, arrival: Arrival, came_s: float) -> None:
-        """Keep what the agent only remembers; nothing follows from it until it acts on something else."""
-        beside = unpack(arrival.attachment)
-        if beside is None:
-            # it will be refused, and must be counted even where another one takes its place
-            self.inbox.put(arrival)
-            return
-        self.inbox.remember(arrival)
-        came_ns = self._clock.now_ns() - round((monotonic_s() - came_s) * 1e9)
-        self.account(arrival.topic).arrived(arrival.key, beside, came_ns, came_s)
-        self.handled.note(arrival.key, beside.epoch, beside.sequence)
-
-    def _refuser(self, topic: Topic) -> Callable[[str, str], None]:
-        def refuse(key: str, named: str) -> None:
-            self.inbox.put(Arrival(topic, key, bytes, b"", named=named))
-
-        return refuse
-
-    def _miss_counter(self, topic: Topic) -> Callable[[int], None]:
-        account = self.account(topic)
-
-        def count(missed: int) -> None:
-            account.missed += missed
-            self._log.error("%d messages of %s were lost", missed, topic)
-
-        return count
+        return receive, missed, refused
 
 
 STOPS_WAITING = 8
@@ -281,7 +227,7 @@ def taking(
             answer(answered.recall(asked) or unknown)
             return
         payload = query.payload.to_bytes() if query.payload is not None else b""
-        arrival = Arrival(topic, key, lambda: payload, b"", answer, other_key(query.encoding, key))
+        arrival = Arrival(topic, key, lambda: payload, None, answer, other_key(query.encoding, key))
         if not stops_unread(topic, payload):
             inbox.put(arrival)
             return

@@ -21,8 +21,8 @@ from shared.runtime.accounts import OutputAccount
 from shared.runtime.agent import Agent, Later
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import AgentClock
-from shared.runtime.delivery import RouterLinks, payload_of
-from shared.runtime.progress import Handled
+from shared.runtime.delivery import Rows, as_told, declare_publisher, payload_of
+from shared.runtime.facts import Handled
 from shared.runtime.session import Session
 
 TICK, OMITTED = "tick", "omitted"
@@ -106,11 +106,11 @@ class Outlets:
         session: Session,
         rig: str,
         own: tuple[str, str],
-        links: RouterLinks,
         clock: AgentClock,
+        otherwise: Rows = (),
     ) -> None:
         self.epoch = int.from_bytes(os.urandom(7), "big")
-        self._session, self._rig, self._links, self._clock = session, rig, links, clock
+        self._session, self._rig, self._clock, self._otherwise = session, rig, clock, otherwise
         self._kind, self._instance = own
         self._accounts: dict[str, OutputAccount] = {}
         self._publishers: dict[str, Any] = {}
@@ -119,7 +119,8 @@ class Outlets:
 
     def declare(self, topic: Topic) -> None:
         """Have a topic ready to be published."""
-        self._publishers[str(topic)] = self._links.publisher(self._session, self.key(topic), topic)
+        row = as_told(topic, self._otherwise)
+        self._publishers[str(topic)] = declare_publisher(self._session, self.key(topic), row)
         self._accounts[str(topic)] = OutputAccount(str(topic))
 
     def key(self, topic: Topic) -> str:

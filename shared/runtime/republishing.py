@@ -4,6 +4,7 @@ Whoever does so stands for those agents: their tokens are declared, so that none
 that runs is spoken over. Numbers begin anew: an epoch of one's own, and no gaps but those that this journey makes.
 """
 
+import contextlib
 import os
 import threading
 from collections.abc import Generator, Iterable
@@ -17,35 +18,26 @@ from schemas.messages import CommandAnswer, Progress, ReplayClock
 from schemas.topics import MAIN, REPLAY_CLOCK, Topic, key, key_root, topic_of
 from shared.clock import now_ns
 from shared.runtime.attachment import Attachment, pack
-from shared.runtime.commands import send_command
-from shared.runtime.connection import ROUTER_WAIT_S, open_when_there
+from shared.runtime.connection import ROUTER_WAIT_S, Connection, open_when_there
 from shared.runtime.delivery import as_told, declare_publisher
-from shared.runtime.progress import ask_progress
+from shared.runtime.facts import ask_progress
 from shared.runtime.session import SessionSettings
 
 REPLAY = REPLAY_CLOCK.agent
 
 
-class Republisher:
+class Republisher(Connection):
     """Publishes messages as they were recorded; `epoch` is that of all of them."""
 
-    def __init__(self, session: zenoh.Session, rig: str, waits: bool, otherwise: tuple[Topic, ...] = ()) -> None:
-        """`waits` for the network where it is too slow, so that nothing is dropped on its way.
-
-        `otherwise` are rows of the topic table as this rig has them, where it has them otherwise.
-        """
+    def __init__(self, session: zenoh.Session, settings: SessionSettings, waits: bool) -> None:
+        """`waits` for the network where it is too slow, so that nothing is dropped on its way."""
+        super().__init__(session, settings)
         self.epoch = int.from_bytes(os.urandom(7), "big")
-        self._session, self._rig, self._waits, self._otherwise = session, rig, waits, otherwise
+        self._waits = waits
         self._publishers: dict[str, Any] = {}
         self._sent: dict[str, int] = {}
-        self._kept: list[Any] = []
         # the time is told from more than one thread
         self._telling = threading.Lock()
-
-    def present(self) -> set[str]:
-        """Which agents are there, as `kind/instance`."""
-        replies = self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0)
-        return {"/".join(str(reply.ok.key_expr).split("/")[2:4]) for reply in replies if reply.ok is not None}
 
     @contextmanager
     def hearing(self, keys: Iterable[str]) -> Generator[set[str]]:
@@ -84,7 +76,7 @@ class Republisher:
 
     def send(self, topic: Topic, instance: str, message: Any) -> CommandAnswer:
         """Send a command; its answer."""
-        return send_command(self._session, self._rig, topic, message, instance)
+        return self.command(topic, message, instance)
 
     def progress(self) -> dict[str, Progress]:
         """How far every consumer has got, as `kind/instance`."""
@@ -92,9 +84,10 @@ class Republisher:
 
     def close(self) -> None:
         """Speak for nobody any more."""
-        for declared in (*self._publishers.values(), *self._kept):
-            declared.undeclare()
-        self._publishers, self._kept = {}, []
+        for publisher in self._publishers.values():
+            publisher.undeclare()
+        self._publishers = {}
+        super().close()
 
 
 @contextmanager
@@ -106,9 +99,8 @@ def republishing(
     Raises:
         NoRouterError: where no router answers in time.
     """
-    with open_when_there(settings, within_s) as session:
-        republisher = Republisher(session, settings.rig, waits, settings.otherwise)
-        try:
-            yield republisher
-        finally:
-            republisher.close()
+    with (
+        open_when_there(settings, within_s) as session,
+        contextlib.closing(Republisher(session, settings, waits)) as republisher,
+    ):
+        yield republisher

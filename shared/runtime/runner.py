@@ -9,7 +9,6 @@ and upon each change (shared/runtime/parameters.py).
 import dataclasses
 import logging
 import math
-import socket
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -44,18 +43,25 @@ from schemas.topics import (
     key_root,
 )
 from shared.clock import Stopwatch, monotonic_s, now_ns
-from shared.runtime.accounts import LIKE_PER_LINE, Faults, ProcessorShare, StepTimes, resident_bytes
+from shared.runtime.accounts import LIKE_PER_LINE, Faults, Vitals
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Later, Output, Received, Tick, awaited
-from shared.runtime.attachment import unpack, why_refused
-from shared.runtime.clocks import AgentClock, ClockWatch, answer_clock, follow_replays
+from shared.runtime.attachment import why_refused
+from shared.runtime.clocks import AgentClock, ClockWatch, follow_replays
 from shared.runtime.commands import OTHER_KEY, Answered, refused, stops, untimely
-from shared.runtime.delivery import RouterLinks
-from shared.runtime.facts import Surroundings, answer_facts, answer_link, facts_of, realtime_priority
+from shared.runtime.delivery import Rows
+from shared.runtime.facts import (
+    Surroundings,
+    answer_clock,
+    answer_facts,
+    answer_link,
+    answer_progress,
+    facts_of,
+    realtime_priority,
+)
 from shared.runtime.intake import Arrival, Intake, taking
 from shared.runtime.outlets import TICK, Coming, Fed, Outlets
 from shared.runtime.parameters import Parameters
 from shared.runtime.process import ServiceManager
-from shared.runtime.progress import answer_progress
 from shared.runtime.session import RouterWatch
 from shared.runtime.taps import LogTopic
 
@@ -77,22 +83,21 @@ class Runner:
         rig: str,
         config_hash: str = "",
         around: Surroundings | None = None,
-        links: RouterLinks | None = None,
+        otherwise: Rows = (),
     ) -> None:
-        self._links = links or RouterLinks()
-        self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
+        self._agent, self._session, self._rig, self._otherwise = agent, session, rig, otherwise
+        self._config_hash = config_hash
         self._parameters, self._around, self._manager = Parameters(agent), around or Surroundings(), ServiceManager()
         self._root = key_root(rig, agent.instance, agent.kind)
         self._clock = AgentClock(lambda: agent.keeps_time)
-        self._out = Outlets(session, rig, (agent.kind, agent.instance), self._links, self._clock)
+        self._out = Outlets(session, rig, (agent.kind, agent.instance), self._clock, otherwise)
         self._stopped = threading.Event()
         self._answered = Answered()
         self._kept: list[Any] = []
         self._fed = Fed(agent, rig, self._out.epoch)
         self._newest_only = {str(i.topic) for i in agent.inputs if i.only_newest_counts}
         self._steady = {TICK, *(str(i.topic) for i in agent.inputs if i.topic.rate_hz is not None)}
-        self._steps, self._processor = StepTimes(), ProcessorShare()
-        self._started_s, self._heartbeat, self._faults = monotonic_s(), 0, Faults()
+        self._vitals, self._faults = Vitals(agent.kind, agent.instance), Faults()
         self.gave_up = ""
         self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
         self._intake = Intake(agent, self._clock, self._log)
@@ -112,7 +117,7 @@ class Runner:
         longest_s = min(LONGEST_WAIT_S, self._manager.alive_every_s or LONGEST_WAIT_S)
         try:
             while not self._stopped.is_set():
-                self._heartbeat += 1
+                self._vitals.heartbeat += 1
                 self._manager.alive()
                 now_s = monotonic_s()
                 if change := self._clock.change():
@@ -163,7 +168,7 @@ class Runner:
         return 1.0 / self._agent.tick_hz if self._agent.tick_hz else math.inf
 
     def _listen(self) -> None:
-        self._kept += self._intake.listen(self._session, self._rig, self._links)
+        self._kept += self._intake.listen(self._session, self._rig, self._otherwise)
         commands = [
             (topic, topic.agent, self._agent.instance if topic.per_arm else MAIN) for topic in self._agent.commands
         ]
@@ -174,7 +179,7 @@ class Runner:
         self._answer_questions()
         self._kept.append(RouterWatch(self._session, self._log.warning))
         if self._agent.accepts_replayed_time:
-            self._kept += follow_replays(self._session, self._rig, self._clock)
+            self._kept.append(follow_replays(self._session, self._rig, self._clock))
         self._kept.append(self._session.liveliness().declare_token(self._root))
         self._publish_configuration()
         if self._watched:
@@ -190,7 +195,7 @@ class Runner:
             config_hash = self._parameters.hashed(self._config_hash)
             return facts_of(self._session, agent.kind, agent.instance, config_hash, self._around, granted)
 
-        self._kept.append(answer_clock(self._session, self._rig, agent.kind, agent.instance))
+        self._kept.append(answer_clock(self._session, self._root))
         self._kept.append(answer_facts(self._session, self._root, facts))
         self._kept.append(answer_link(self._session, self._root))
         self._tell_progress()
@@ -206,15 +211,14 @@ class Runner:
         self._kept.append(answer_progress(self._session, self._root, listens, self._intake.handled, published))
 
     def _feed_remembered(self) -> None:
-        for arrival in self._intake.remembered():
+        for arrival in self._intake.inbox.remembered():
             self._handle(arrival, counted=True)
 
     def _handle(self, arrival: Arrival, counted: bool = False) -> None:
         if arrival.answer is not None:
             self._carry_out(arrival, arrival.answer)
             return
-        account = self._intake.account(arrival.topic)
-        beside = unpack(arrival.attachment)
+        account, beside = self._intake.account(arrival.topic), arrival.beside
         try:
             if arrival.named:
                 raise MessageError(why_refused(arrival.named))
@@ -225,12 +229,12 @@ class Runner:
         except MessageError as error:
             if account.refused % LIKE_PER_LINE == 0:
                 self._log.warning("a message on %s was refused: %s", arrival.key, error)
-            account.refuse(arrival.key, beside, counted)
+            account.refuse(counted)
             if beside is not None:
                 self._intake.handled.note(arrival.key, beside.epoch, beside.sequence)
             return
         if not counted:
-            self._intake.arrived(arrival.topic, arrival.key, beside)
+            self._intake.looked_at(arrival.topic, beside)
         only_newest_counts = str(arrival.topic) in self._newest_only
         self._fed.message(arrival.key, beside.epoch, beside.sequence, only_newest_counts)
         self._step(Received(arrival.topic, arrival.key, beside.sequence, message))
@@ -307,7 +311,7 @@ class Runner:
         except Exception as error:
             self._note_fault(error, of)
             return
-        self._steps.add(watch.ms["step"])
+        self._vitals.steps.add(watch.ms["step"])
         if went_well:
             self._faults.went_well(of)
 
@@ -378,24 +382,9 @@ class Runner:
         self._out.publish(CLOCKS, HostClocks(self._clock.now_ns(), clocks))
 
     def _health(self, now_s: float) -> AgentHealth:
-        step_ms_p50, step_ms_p99 = self._steps.percentiles(50, 99)
-        return AgentHealth(
-            agent=self._agent.kind,
-            instance=self._agent.instance,
-            host=socket.gethostname(),
-            version=schemas.__version__,
-            config_hash=self._parameters.hashed(self._config_hash),
-            at_ns=self._clock.now_ns(),
-            uptime_s=now_s - self._started_s,
-            heartbeat=self._heartbeat,
-            step_ms_p50=step_ms_p50,
-            step_ms_p99=step_ms_p99,
-            inputs=self._intake.health(now_s),
-            outputs=tuple(self._out.account(topic).health(now_s) for topic in self._agent.outputs),
-            fault=self._faults.text,
-            processor_share=self._processor.since_last(),
-            resident_bytes=resident_bytes(),
-        )
+        config_hash, inputs = self._parameters.hashed(self._config_hash), self._intake.health(now_s)
+        outputs = tuple(self._out.account(topic).health(now_s) for topic in self._agent.outputs)
+        return self._vitals.health(self._clock.now_ns(), config_hash, self._faults.text, inputs, outputs)
 
     def _end(self) -> None:
         """Let the agent come to rest before it falls silent."""

@@ -1,10 +1,7 @@
-"""A Zenoh session from a few settings, the settings of a router, and what that router says of links that it refused.
+"""A Zenoh session from a few settings, and the settings of a router.
 
 Agents are clients of one router: they wait for one that is not up yet, and come back within a fraction of a second
 when it restarts. Nothing is scouted for by multicast. Off loopback both sides of every link show a certificate.
-
-Refused links are counted. Zenoh tells its own log alone of them, on standard output: a line for each link without a
-certificate of the lab. Access rules deny in silence, by design of Zenoh, and count nothing.
 """
 
 import ipaddress
@@ -13,9 +10,7 @@ import logging
 import os
 import re
 import socket
-import sys
 import threading
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +18,7 @@ from typing import Any
 
 import zenoh
 
-from schemas.topics import Topic
+from schemas.topics import Topic, key_root
 from shared.clock import monotonic_s
 from shared.runtime.identity import Identity, IdentityError, check_identity
 
@@ -203,8 +198,17 @@ def on_loopback(endpoint: str) -> bool:
 
 def runs_already(session: zenoh.Session, rig: str, kind: str, instance: str) -> bool:
     """Whether an agent of that kind and instance is alive: two that drive one arm would fight over it."""
-    replies = session.liveliness().get(f"suturegrasp/{rig}/{kind}/{instance}", timeout=1.0)
+    replies = session.liveliness().get(key_root(rig, instance, kind), timeout=1.0)
     return any(reply.ok is not None for reply in replies)
+
+
+def present(session: zenoh.Session, roots: str) -> list[tuple[str, str, str]] | None:
+    """Which agents are there whose keys begin so: rig, kind and instance; None where the router gives no answer."""
+    replies = list(session.liveliness().get(roots, timeout=1.0))
+    if any(reply.err is not None for reply in replies):
+        return None
+    names = (str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None)
+    return sorted((rig, kind, instance) for _, rig, kind, instance in names)
 
 
 def free_local_endpoint() -> str:
@@ -277,53 +281,3 @@ def _watch(events: Any, tell: Callable[[str], None]) -> None:
                 tell(f"the link to the router broke, and was back after {away_s:.1f} s")
     except zenoh.ZError:
         return
-
-
-REFUSED = re.compile(r"WARN .*zenoh_link_tls\S*: (?P<reason>.*?)\.?(?: Hint: .*)?$")
-DETAILS = re.compile(r": verification time .*")
-"""Of a certificate that is out of date: seconds, which would make every refusal a reason of its own."""
-STYLE = re.compile(r"\x1b\[[0-9;]*m")
-LIKE_PER_LINE = 100
-"""After the first, only every so many like refusals are told."""
-STANDARD_OUTPUT = 1
-
-
-class RefusedLinks:
-    """Reads this process's own standard output, passes on what is something else, and tells of refused links.
-
-    Fields:
-        counted: links refused so far, by reason.
-    """
-
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self.counted: Counter[str] = Counter()
-        self._tell = tell
-        self._real = os.dup(STANDARD_OUTPUT)
-        reading, writing = os.pipe()
-        os.dup2(writing, STANDARD_OUTPUT)
-        os.close(writing)
-        self._thread = threading.Thread(target=self._read, args=(reading,), name="refused links", daemon=True)
-        self._thread.start()
-        have_links_logged()
-
-    def close(self) -> None:
-        """Give standard output back; what was said before is still counted."""
-        sys.stdout.flush()
-        os.dup2(self._real, STANDARD_OUTPUT)
-        self._thread.join(1.0)
-
-    def _read(self, reading: int) -> None:
-        with os.fdopen(reading, "rb") as lines:
-            for line in lines:
-                if not self._count(line.decode(errors="replace")):
-                    os.write(self._real, line)
-
-    def _count(self, line: str) -> bool:
-        found = REFUSED.search(STYLE.sub("", line).rstrip())
-        if found is None:
-            return False
-        reason = DETAILS.sub("", found["reason"])
-        self.counted[reason] += 1
-        if self.counted[reason] % LIKE_PER_LINE == 1:
-            self._tell(f"a link was refused: {reason} ({self.counted[reason]} so far)")
-        return True

@@ -6,67 +6,55 @@ presence, a log, and where it is asked the host's clock, facts and what lies bet
 """
 
 import contextlib
+import functools
 import logging
 import os
-import socket
 import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import count
 from typing import Any
 
 import zenoh
 
-import schemas
-from schemas.messages import AgentHealth, InputHealth, LogLevel, LogRecord
+from schemas.messages import InputHealth, LogLevel, LogRecord
 from schemas.topics import ANY_AGENT, HEALTH, LOG, MAIN, Delivery, Topic, key, key_root
 from shared.clock import monotonic_s, now_ns
-from shared.runtime.accounts import LIKE_PER_LINE, InputAccount, ProcessorShare, resident_bytes
-from shared.runtime.attachment import Attachment, unpack, why_refused
-from shared.runtime.clocks import AgentClock, answer_clock
-from shared.runtime.delivery import RouterLinks, as_told, subscribe
-from shared.runtime.facts import Surroundings, answer_facts, answer_link, facts_of, realtime_priority
+from shared.runtime.accounts import LIKE_PER_LINE, InputAccount, Vitals
+from shared.runtime.attachment import Attachment, beside_of, why_refused
+from shared.runtime.clocks import AgentClock
+from shared.runtime.delivery import Rows, as_told, subscribe
+from shared.runtime.facts import (
+    Handled,
+    Surroundings,
+    answer_clock,
+    answer_facts,
+    answer_link,
+    answer_progress,
+    facts_of,
+    realtime_priority,
+)
 from shared.runtime.outlets import Outlets
-from shared.runtime.progress import Handled, answer_progress
 from shared.runtime.session import RouterWatch, Session
 
 LOGGER = logging.getLogger("suturegrasp.taps")
 
 
-@dataclass(frozen=True)
-class TapAccount:
-    """One topic as one listener hears it."""
-
-    counts: InputAccount
-
-    def arrived(self, key: str, beside: Attachment) -> None:
-        """Count a message that was handed over."""
-        self.counts.arrived(key, beside, now_ns(), monotonic_s())
-
-    def refuse(self, key: str, named: str) -> None:
-        """Count a message that came under another key than its own, and say so now and then."""
-        if self.counts.refused % LIKE_PER_LINE == 0:
-            LOGGER.warning("a message on %s was refused: %s", key, why_refused(named))
-        self.counts.refuse(key, None)
-
-
 class TapAccounts:
-    """Those of all that one process listens to."""
+    """What one process hears, as its health tells of it where any of it was refused."""
 
     def __init__(self) -> None:
-        self._accounts: list[TapAccount] = []
+        self._accounts: list[InputAccount] = []
 
-    def of(self, topic: Topic) -> TapAccount:
+    def of(self, topic: Topic) -> InputAccount:
         """A new account of a topic."""
-        account = TapAccount(InputAccount(str(topic)))
-        self._accounts.append(account)
-        return account
+        self._accounts.append(InputAccount(str(topic)))
+        return self._accounts[-1]
 
     def health(self) -> tuple[InputHealth, ...]:
-        """Of topics of which a message was refused; where several listen to one, as one of them has it."""
-        refused = [account.counts for account in self._accounts if account.counts.refused]
-        most = {counts.topic: counts for counts in sorted(refused, key=lambda counts: counts.refused)}
+        """Of topics of which a message was refused; where several listen to one, as the one with most has it."""
+        refused = sorted((one for one in self._accounts if one.refused), key=lambda one: one.refused)
+        most = {one.topic: one for one in refused}
         return tuple(most[topic].health(0, monotonic_s()) for topic in sorted(most))
 
 
@@ -90,7 +78,7 @@ def tap(
     topics: tuple[Topic, ...],
     receive: Callable[[Tapped], None],
     missed: Callable[[Topic, int], None],
-    otherwise: tuple[Topic, ...] = (),
+    otherwise: Rows = (),
     accounts: TapAccounts | None = None,
 ) -> list[Any]:
     """Have every message of these topics, of all instances, handed over; keep what is returned.
@@ -106,25 +94,32 @@ def tap(
             continue
         selectors.append(key(rig, topic, "*", "*" if topic.agent == ANY_AGENT else topic.agent))
         account, row = counted.of(topic), as_told(topic, otherwise)
-        ways = _receiver(topic, receive, handled, account), lambda count, topic=topic: missed(topic, count)
-        kept += subscribe(session, selectors[-1], row, *ways, refused=account.refuse)
+        hand_over, refuse = _receiver(topic, receive, handled, account), functools.partial(_refuse, account)
+        kept.append(subscribe(session, selectors[-1], row, hand_over, functools.partial(missed, topic), refuse))
     kept.append(answer_progress(session, key_root(rig, os.urandom(7).hex(), TAP), selectors, handled))
     return kept
 
 
 def _receiver(
-    topic: Topic, receive: Callable[[Tapped], None], handled: Handled, account: TapAccount
+    topic: Topic, receive: Callable[[Tapped], None], handled: Handled, account: InputAccount
 ) -> Callable[[zenoh.Sample], None]:
     def hand_over(sample: zenoh.Sample) -> None:
-        key, attachment = str(sample.key_expr), sample.attachment
-        # one message for many keys has a number in the sequence of none of them
-        beside = unpack(attachment.to_bytes()) if attachment is not None and "*" not in key else None
+        key = str(sample.key_expr)
+        beside = beside_of(sample, key)
         receive(Tapped(topic, key, sample.payload.to_bytes(), beside))
         if beside is not None:
-            account.arrived(key, beside)
+            account.came(key, beside)
+            account.looked_at(beside, now_ns(), monotonic_s())
             handled.note(key, beside.epoch, beside.sequence)
 
     return hand_over
+
+
+def _refuse(account: InputAccount, key: str, named: str) -> None:
+    """Count a message that came under another key than its own, and say so now and then."""
+    if account.refused % LIKE_PER_LINE == 0:
+        LOGGER.warning("a message on %s was refused: %s", key, why_refused(named))
+    account.refuse()
 
 
 LEVELS = ((logging.ERROR, LogLevel.ERROR), (logging.WARNING, LogLevel.WARNING), (logging.INFO, LogLevel.INFO))
@@ -152,6 +147,23 @@ class LogTopic(logging.Handler):
         self.release()
 
 
+@contextmanager
+def logs_published(
+    session: Session, rig: str, kind: str, logger: logging.Logger, otherwise: Rows = (), instance: str = MAIN
+) -> Generator[Outlets]:
+    """Publish each record of a logger under the key root of a process, for as long as it is needed."""
+    out = Outlets(session, rig, (kind, instance), AgentClock(), otherwise)
+    out.declare(LOG)
+    handler = LogTopic(kind, instance, lambda record: out.publish(LOG, record))
+    logger.addHandler(handler)
+    try:
+        yield out
+    finally:
+        logger.removeHandler(handler)
+        handler.await_quiet()
+        out.undeclare()
+
+
 PERIOD_S = 1.0
 
 
@@ -165,92 +177,41 @@ def reporting(
     fault: Callable[[], str],
     config_hash: str = "",
     around: Surroundings | None = None,
-    links: RouterLinks | None = None,
+    otherwise: Rows = (),
     heard: Callable[[], tuple[InputHealth, ...]] = tuple,
 ) -> Generator[None]:
     """Tell all that for as long as it lasts; `fault` says what is wrong at the moment, or is empty.
 
     `heard` tells of what it listens to.
     """
-    out = Outlets(session, rig, (kind, instance), links or RouterLinks(), AgentClock())
-    for topic in (HEALTH, LOG):
-        out.declare(topic)
-    log_topic = LogTopic(kind, instance, lambda record: out.publish(LOG, record))
     root, surroundings, granted = key_root(rig, instance, kind), around or Surroundings(), realtime_priority()
-    kept = [
-        session.liveliness().declare_token(root),
-        answer_clock(session, rig, kind, instance),
-        answer_facts(session, root, lambda: facts_of(session, kind, instance, config_hash, surroundings, granted)),
-        answer_link(session, root),
-        RouterWatch(session, logger.warning),
-    ]
-    logger.addHandler(log_topic)
-    health = _Health(kind, instance, fault, heard, config_hash)
-    stopped = threading.Event()
+    vitals, stopped = Vitals(kind, instance), threading.Event()
+    with logs_published(session, rig, kind, logger, otherwise, instance) as out:
+        out.declare(HEALTH)
+        kept = [
+            session.liveliness().declare_token(root),
+            answer_clock(session, root),
+            answer_facts(session, root, lambda: facts_of(session, kind, instance, config_hash, surroundings, granted)),
+            answer_link(session, root),
+            RouterWatch(session, logger.warning),
+        ]
 
-    def repeat() -> None:
-        while not stopped.is_set():
-            out.publish(HEALTH, health.now())
-            stopped.wait(PERIOD_S)
+        def tell() -> None:
+            vitals.heartbeat += 1
+            out.publish(HEALTH, vitals.health(now_ns(), config_hash, fault(), heard()))
 
-    thread = threading.Thread(target=repeat, name="health", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        stopped.set()
-        thread.join()
-        out.publish(HEALTH, health.now())
-        logger.removeHandler(log_topic)
-        log_topic.await_quiet()
-        for declared in (*kept, out):
-            declared.undeclare()
+        def repeat() -> None:
+            while not stopped.is_set():
+                tell()
+                stopped.wait(PERIOD_S)
 
-
-class _Health:
-    """How a process fares that takes no steps."""
-
-    def __init__(
-        self,
-        kind: str,
-        instance: str,
-        fault: Callable[[], str],
-        heard: Callable[[], tuple[InputHealth, ...]],
-        config_hash: str,
-    ) -> None:
-        self._fixed: dict[str, Any] = {"agent": kind, "instance": instance, "host": socket.gethostname()}
-        self._fixed |= {"version": schemas.__version__, "config_hash": config_hash}
-        self._fault, self._heard = fault, heard
-        self._began_s, self._beats, self._processor = monotonic_s(), count(1), ProcessorShare()
-
-    def now(self) -> AgentHealth:
-        return AgentHealth(
-            **self._fixed,
-            at_ns=now_ns(),
-            uptime_s=monotonic_s() - self._began_s,
-            heartbeat=next(self._beats),
-            step_ms_p50=None,
-            step_ms_p99=None,
-            inputs=self._heard(),
-            outputs=(),
-            fault=self._fault(),
-            processor_share=self._processor.since_last(),
-            resident_bytes=resident_bytes(),
-        )
-
-
-@contextmanager
-def logs_published(
-    session: Session, rig: str, kind: str, logger: logging.Logger, links: RouterLinks | None = None
-) -> Generator[None]:
-    """Publish each record of a logger under the key root of `kind`, for as long as it is needed."""
-    out = Outlets(session, rig, (kind, MAIN), links or RouterLinks(), AgentClock())
-    out.declare(LOG)
-    handler = LogTopic(kind, MAIN, lambda record: out.publish(LOG, record))
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        handler.await_quiet()
-        out.undeclare()
+        thread = threading.Thread(target=repeat, name="health", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            stopped.set()
+            thread.join()
+            tell()
+            for declared in kept:
+                declared.undeclare()

@@ -17,14 +17,14 @@ from agents.diagnostics.doctor.finding import Finding
 from agents.diagnostics.doctor.here import CHRONYC, examine_here, synchronisation
 from agents.diagnostics.doctor.rig import clocks, granted, guards, links, running, streams, versions
 from agents.diagnostics.doctor.router import unreached, why_not
-from agents.diagnostics.doctor.rules import verdict
+from agents.diagnostics.doctor.rules import Trial, verdict
 from agents.diagnostics.status.gathered import Gathered
 from agents.diagnostics.status.health_watch import Fare
 from agents.launch.agent_process import calibrated_ns, surroundings
 from agents.launch.preflight import already_running
 from agents.planner.agent import Planner
 from shared.clock import now_ns
-from shared.runtime.access import Trial, access_control
+from shared.runtime.access import access_control
 from shared.runtime.clocks import ClockOffset
 from shared.runtime.config import load_config, parse_config
 from shared.runtime.connection import connected

@@ -22,7 +22,7 @@ from schemas.topics import COMMANDS, FRAMES, HEALTH, LOG, OBSERVATIONS, PLAN, TO
 from shared.runtime.access import Sites
 from shared.runtime.config import ConfigError, parse_config
 from shared.runtime.connection import connected
-from shared.runtime.delivery import RouterLinks, as_told
+from shared.runtime.delivery import as_told, declare_publisher
 from tests.agents.cli.conftest import REPOSITORY, SCRIPT
 from tests.agents.cli.heard import facts
 from tests.agents.cli.test_rig_mistakes import DESK, WHOLE
@@ -97,8 +97,8 @@ def test_what_is_told_otherwise_of_topics_reaches_every_process_of_the_rig(sessi
     assert recorded_topics(rig("")) == tuple(topic for topic in TOPICS if topic.recorded)
     assert set(recorded_topics(rig(""))) - set(recorded_topics(less)) == {FRAMES}
     for text, priority in ((TOLD, "Priority.DATA_LOW"), ("", "Priority.REAL_TIME")):
-        links = RouterLinks(rig(text).rows_otherwise)
-        publisher = links.publisher(session, key("test", OBSERVATIONS), OBSERVATIONS)
+        row = as_told(OBSERVATIONS, rig(text).rows_otherwise)
+        publisher = declare_publisher(session, key("test", OBSERVATIONS), row)
         assert str(publisher.priority) == priority
         publisher.undeclare()
 

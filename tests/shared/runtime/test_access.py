@@ -85,7 +85,7 @@ def test_a_topic_and_its_history_are_heard_from_its_owner_alone(secured, topic, 
     def listen(to):
         return subscribe(secured.session(LISTENER), name, topic, lambda s: to.append(s.payload.to_bytes()), print)
 
-    declared = listen(heard)
+    declared = [listen(heard)]
     for forger in {*CERTIFICATES} - {owner, LISTENER}:
         declared.append(declare_publisher(secured.session(forger), name, topic))
         declared[-1].put(b"forged", attachment=beside())
@@ -93,7 +93,7 @@ def test_a_topic_and_its_history_are_heard_from_its_owner_alone(secured, topic, 
     until(lambda: declared[-1].put(b"own", attachment=beside()) or b"own" in heard)
     if topic.delivery is not topics.Delivery.LATEST:
         # whoever comes late
-        declared += listen(late)
+        declared.append(listen(late))
         until(lambda: late)
     threading.Event().wait(NEVER_AFTER_S)
     for gone in declared:

@@ -11,9 +11,10 @@ from schemas.messages import ClockReading, ReplayClock
 from schemas.topics import CLOCKS, LOG, REPLAY_CLOCK, key
 from shared.clock import now_ns
 from shared.runtime.agent import Input, Received, Tick
-from shared.runtime.clocks import CLOCK, JITTER_NS, SILENCE_S, ClockOffset, ReplayedTime, by_host, offset_of
+from shared.runtime.clocks import JITTER_NS, SILENCE_S, ClockOffset, ReplayedTime, by_host, offset_of
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher
+from shared.runtime.facts import CLOCK
 from tests.shared.runtime.conftest import Idle, beside
 
 MS, SECOND = 10**6, 10**9

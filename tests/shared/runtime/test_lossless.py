@@ -168,7 +168,7 @@ def test_what_came_to_nothing_is_asked_for_until_the_cache_has_it(session, recei
         publisher_detection=True,
         allowed_destination=zenoh.Locality.SESSION_LOCAL,
     )
-    keep(unheard, *subscribe(receiver, KEY, PLAN, samples.append, missed.append))
+    keep(unheard, subscribe(receiver, KEY, PLAN, samples.append, missed.append))
     for number in range(5):
         unheard.put(str(number))
     # the token or a heartbeat tells that there is something

@@ -14,13 +14,12 @@ from schemas.messages import AgentFacts, ClockReading, Heartbeat, Hold, Outcome,
 from schemas.topics import FRAMES, HEALTH, HEARTBEAT, HOLD, LOG, PLAN, key
 from shared.runtime.agent import Input
 from shared.runtime.attachment import LAYOUT, Attachment, encoding_of, other_key, pack, unpack
-from shared.runtime.clocks import CLOCK, clock_offset
+from shared.runtime.clocks import clock_offset
 from shared.runtime.commands import accepted, new_header, send_command
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher, subscribe
-from shared.runtime.facts import FACTS, ask_facts
+from shared.runtime.facts import CLOCK, FACTS, PROGRESS, ask_facts, ask_progress
 from shared.runtime.lossless import is_of
-from shared.runtime.progress import PROGRESS, ask_progress
 from shared.runtime.taps import tap
 from tests.shared.runtime.conftest import Idle, beside, frame_bytes
 
@@ -58,7 +57,7 @@ def test_what_a_cache_gives_of_another_key_or_publisher_is_taken_for_no_event():
 @pytest.mark.parametrize("topic", [FRAMES, PLAN], ids=str)
 def test_what_names_another_key_is_not_handed_over(topic, session, receiver, keep, heard_by_others, until):
     own, came, missed, refused = key("test", topic), [], [], []
-    keep(*subscribe(receiver, own, topic, came.append, missed.append, None, lambda *both: refused.append(both)))
+    keep(subscribe(receiver, own, topic, came.append, missed.append, lambda *both: refused.append(both)))
     heard_by_others(session, own)
     publisher = keep(declare_publisher(session, own, topic))
     publisher.put(b"first", attachment=beside(0))

@@ -17,7 +17,7 @@ from shared.clock import now_ns
 from shared.runtime.agent import Agent, CannotGoOnError, Input, Later, Output, Received, Tick
 from shared.runtime.commands import FARTHEST_DEADLINE_S, accepted, new_header, refused, send_command, untimely
 from shared.runtime.delivery import declare_publisher
-from shared.runtime.progress import ask_progress
+from shared.runtime.facts import ask_progress
 from tests.shared.runtime.conftest import IMAGE, beside, frame_bytes, rejection
 
 DEADLINE_S, NAME = 60.0, key("test", FRAMES)

@@ -4,7 +4,7 @@ from schemas.messages import Consumed
 from schemas.topics import FRAMES, GOAL, HEARTBEAT, LOG, REPLAY_CLOCK, key
 from shared.runtime.agent import Input
 from shared.runtime.delivery import declare_publisher
-from shared.runtime.progress import ask_progress, matches
+from shared.runtime.facts import ask_progress, matches
 from shared.runtime.taps import tap
 from tests.shared.runtime.conftest import Idle, beside, frame_bytes
 
