@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.perception.background_search import FRAMES_BETWEEN_LOOKS_WATCHED, begun_beside, may_be_watched, watched
-from agents.perception.following.follow import every_second
 from agents.perception.following.pair import FollowedPair, follow_pair
-from agents.perception.instances import told_apart
+from agents.perception.instances import as_sent, told_apart
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
 from agents.perception.judging.whole import judge_whole
 from agents.perception.needle import needle_observed
@@ -156,9 +155,7 @@ class Perception(Agent):
             observed = self._observe(frame.stamp, pair, now_due)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
         observed = replace(
-            observed,
-            centrelines_left=every_second(observed.centrelines_left),
-            centrelines_right=every_second(observed.centrelines_right),
+            as_sent(observed),
             judgements=judgements,
             picture_left=pictures.left,
             picture_right=pictures.right,

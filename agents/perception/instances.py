@@ -16,7 +16,7 @@ from agents.perception.following.follow import every_second
 from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in
 from agents.perception.segmenter_names import NETWORK, THRESHOLD
-from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
+from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, StrandLines, ThreadObservations
 from shared.disparities import disparities_of
 from shared.images import decode_image
 from shared.in_parallel import of_both
@@ -73,6 +73,7 @@ def told_apart(
         found = candidates_followed(before, lines, of_left, observed.camera.image_width)
     return replace(
         _with_lines(observed, (found.left, found.right)),
+        strands=tuple(filter(None, (_strand(observed, lines) for lines in found.strands))),
         candidates=found.listed,
         occluders=occluders,
         score_map=None if score is None else _small(score),
@@ -80,9 +81,24 @@ def told_apart(
 
 
 def as_sent(observed: ThreadObservations) -> ThreadObservations:
-    """The observations with every second point of their centrelines."""
+    """The observations with every second point of their centrelines, and of those of their strands."""
+    strands = tuple(
+        replace(
+            strand,
+            centrelines_left=every_second(strand.centrelines_left),
+            centrelines_right=every_second(strand.centrelines_right),
+        )
+        for strand in observed.strands
+    )
     left, right = every_second(observed.centrelines_left), every_second(observed.centrelines_right)
-    return replace(observed, centrelines_left=left, centrelines_right=right)
+    return replace(observed, centrelines_left=left, centrelines_right=right, strands=strands)
+
+
+def _strand(observed: ThreadObservations, lines: tuple[Centrelines, Centrelines]) -> StrandLines | None:
+    """Some of the observed lines, with what the next frame follows them by; None where nothing is."""
+    left = trail_without(observed.trail_left, observed.centrelines_left, lines[0])
+    right = trail_without(observed.trail_right, observed.centrelines_right, lines[1])
+    return None if left is None or right is None else StrandLines(*lines, left, right)
 
 
 def _with_lines(observed: ThreadObservations, lines: tuple[Centrelines, Centrelines]) -> ThreadObservations:

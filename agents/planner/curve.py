@@ -134,15 +134,30 @@ def strand_distance(curve: ThreadCurve, s: Float64[np.ndarray, "n"], within_dept
     behind is as good as there, since depth is what stereo knows least.
     """
     along = np.linspace(0.0, 1.0, STRAND_POINTS)
-    points, others = curve.points(s), curve.points(along)
-    rays = unit_vectors(points)
-    x, y, z = (others[:, axis] - points[:, axis, None] for axis in range(3))
-    depth = x * rays[:, 0, None] + y * rays[:, 1, None] + z * rays[:, 2, None]
-    way_squared = x**2 + y**2 + z**2
+    depth, way_squared = _along_rays(curve.points(s), curve.points(along))
     sideways_squared = np.maximum(way_squared - depth**2, 0.0)
     arc = np.abs(s[:, None] - along) * curve.length_m
     other_strand = (arc**2 > np.maximum(FOLDED**2 * way_squared, LEAST_LOOP_M**2)) & (np.abs(depth) < within_depth_m)
     return np.sqrt(np.where(other_strand, sideways_squared, np.inf).min(axis=1))
+
+
+def passing_distance(
+    points: Float64[np.ndarray, "n 3"], others: Float64[np.ndarray, "m 3"], within_depth_m: float
+) -> Float64[np.ndarray, "n"]:
+    """How far to the side of each place the nearest of others lies, as `strand_distance` has it."""
+    depth, way_squared = _along_rays(points, others)
+    sideways_squared = np.maximum(way_squared - depth**2, 0.0)
+    return np.sqrt(np.where(np.abs(depth) < within_depth_m, sideways_squared, np.inf).min(axis=1, initial=np.inf))
+
+
+def _along_rays(
+    points: Float64[np.ndarray, "n 3"], others: Float64[np.ndarray, "m 3"]
+) -> tuple[Float64[np.ndarray, "n m"], Float64[np.ndarray, "n m"]]:
+    """From each place to each other one: how much deeper along the viewing ray it lies, and how far away, squared."""
+    rays = unit_vectors(points)
+    x, y, z = (others[:, axis] - points[:, axis, None] for axis in range(3))
+    depth = x * rays[:, 0, None] + y * rays[:, 1, None] + z * rays[:, 2, None]
+    return depth, x**2 + y**2 + z**2
 
 
 def unit_vectors(vectors: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:

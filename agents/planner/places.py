@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from agents.planner.chances import Known
-from agents.planner.curve import ThreadCurve, decided, seen, strand_distance
+from agents.planner.curve import ThreadCurve, decided, passing_distance, seen, strand_distance
 from agents.planner.needle import NeedleAround
 from schemas.messages import Policy
 from shared.kinematics.psm import FINGER_M
@@ -43,24 +43,28 @@ def places_along(
     policy: Policy,
     known: Known,
     needle: NeedleAround | None = None,
+    beside: Float64[np.ndarray, "k 3"] | None = None,
 ) -> Places:
     """All of s where the thread may be slid along, and the goal alone where it may not.
 
     Args:
         known: at the same places.
-        needle: what is known of one.
+        needle: what is known of one; beside: places along a strand that is no part of the curve.
 
     Raises:
         NoGraspError: where the curve has no direction.
     """
     asked = asked_of(goal, policy)
     tangents = curve.tangents(s)[asked]
+    beside_m = strand_distance(curve, s[asked], FINGER_M)
+    if beside is not None:
+        beside_m = np.minimum(beside_m, passing_distance(curve.points(s[asked]), beside, FINGER_M))
     return Places(
         s=s[asked],
         goal=0 if policy is Policy.DIRECT else goal,
         aims_camera=curve.points(s)[asked] + known.aim_camera,
         tangents=tangents,
-        beside_m=strand_distance(curve, s[asked], FINGER_M),
+        beside_m=beside_m,
         needle_m=np.full(len(tangents), np.inf) if needle is None else needle.off(curve.points(s)[asked]),
         seen=seen(curve, s)[asked],
         decided=decided(curve, s)[asked],

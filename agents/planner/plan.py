@@ -1,6 +1,7 @@
 """A plan for a goal: where to capture, how to hold the tool, and the waypoints; or why there is none."""
 
 import numpy as np
+from jaxtyping import Float64
 
 from agents.planner.captures import ArmView, Captures, Choice, best_choice, least_pressed
 from agents.planner.chances import PAPER, Known, known_along
@@ -34,8 +35,13 @@ def plan_grasp(
     tissue: SeenTissue = NOTHING_SEEN,
     attempt: Attempt | None = None,
     needle: NeedleAround | None = None,
+    beside: Float64[np.ndarray, "k 3"] | None = None,
 ) -> GraspPlan:
-    """The grasp that most likely succeeds, or a rejection with its reason. Never raises for valid messages."""
+    """The grasp that most likely succeeds, or a rejection with its reason. Never raises for valid messages.
+
+    Args:
+        beside: places in the camera frame, in metres, along another strand, which counts as one of the thread's own.
+    """
     attempt = attempt or first_attempt(goal, config)
     try:
         curve = curve_of(thread)
@@ -43,7 +49,7 @@ def plan_grasp(
         s, at_goal = candidates(s_goal, config.samples)
         asked = asked_of(at_goal, goal.policy)
         known = known_along(thread, curve, s, config, offset_for(attempt, config), asked)
-        places = places_along(curve, s, at_goal, goal.policy, known, needle)
+        places = places_along(curve, s, at_goal, goal.policy, known, needle, beside)
         choice = best_choice(places, goal.policy, arm, config, tissue)
     except NoGraspError as error:
         return _rejected(goal, thread, attempt, str(error))

@@ -129,6 +129,8 @@ class Pull:
         last: the pull is over with this plan.
         stop: why it ends with this plan, or why the jaws let go to grasp anew; None where they pull on.
         sentence: the same in plain words.
+        shortest_m: as long as the tail is at least once the jaws hold nothing any more, by its length before they took
+            hold and by how far they went since; None where nobody has measured it to its end.
     """
 
     tail_m: float | None
@@ -142,6 +144,7 @@ class Pull:
     last: bool
     stop: PullStop | None
     sentence: str
+    shortest_m: float | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

@@ -145,6 +145,23 @@ class Trail:
 
 
 @dataclass(frozen=True)
+class StrandLines:
+    """The centrelines of a thread beside the one that is meant, which looks like it.
+
+    Fields:
+        trail_left, trail_right: what the next frame follows them by.
+    """
+
+    centrelines_left: Centrelines
+    centrelines_right: Centrelines
+    trail_left: Trail
+    trail_right: Trail
+
+    def __post_init__(self) -> None:
+        check_message(self)
+
+
+@dataclass(frozen=True)
 class RightEye:
     """By how much the rectified right image is out of line with the left one, as the pair itself shows.
 
@@ -203,6 +220,8 @@ class ThreadObservations:
         glanced_sequence: of the frame in which a part of one image was last segmented beside a thread that was
             followed, so that thread elsewhere is seen; None where there was none since the last look at the whole.
         glances: how many parts were segmented like that since then.
+        strands: the centrelines of the candidates that are certainly not meant and look like the one that is, so that
+            tissue may hide how they go on to it; measured in this frame, as those of the one that is meant are.
     """
 
     stamp: FrameStamp
@@ -243,6 +262,7 @@ class ThreadObservations:
     right_eye: RightEye | None = None
     disparities_px: Float64[np.ndarray, "2"] | None = None
     calibration_covariance: Float64[np.ndarray, "8 8"] | None = None
+    strands: tuple[StrandLines, ...] = ()
     consumed: Annotated[tuple[Consumed, ...], Number(15)] = ()
 
     def __post_init__(self) -> None:
@@ -413,6 +433,30 @@ class ThreadCourse:
 
 
 @dataclass(frozen=True)
+class Strand:
+    """Another thread that looks like the one that is meant, as a curve; its fields are those of a reconstruction.
+
+    One thread that passes through tissue is several to a camera.
+    """
+
+    degree: UInt32
+    knots: Float64[np.ndarray, "k"]
+    control_points_camera: Float64[np.ndarray, "m 3"]
+    confidence_s: Float64[np.ndarray, "c"]
+    confidence: Float64[np.ndarray, "c"]
+    posterior_s: Float64[np.ndarray, "q"]
+    posterior_covariance: Float64[np.ndarray, "q 3 3"]
+    unseen: Float64[np.ndarray, "g 2"]
+    hidden: Float64[np.ndarray, "h 2"] | None
+    ends_hidden: Bool[np.ndarray, "2"] | None
+    course: ThreadCourse | None
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_clamped_spline(self.degree, self.knots, len(self.control_points_camera))
+
+
+@dataclass(frozen=True)
 class ThreadReconstruction:
     """The thread as a clamped B-spline in the camera frame, with how far it can be trusted.
 
@@ -436,6 +480,8 @@ class ThreadReconstruction:
             thread nor on one of `other_threads`; None where nobody has looked.
         left_over_px: the middle (u, v) of each longer stretch of that; None likewise.
         course: None where the method tells none.
+        strands: the curves of `ThreadObservations.strands`, and of what of its centrelines is no part of this thread;
+            each from the frame alone, and none of those that failed.
     A failed reconstruction has a reason and no control points.
     """
 
@@ -464,6 +510,7 @@ class ThreadReconstruction:
     left_over_px: Float64[np.ndarray, "l 2"] | None = None
     calibration_covariance: Float64[np.ndarray, "8 8"] | None = None
     course: ThreadCourse | None = None
+    strands: tuple[Strand, ...] = ()
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -482,6 +529,30 @@ class ThreadReconstruction:
             _check_clamped_spline(self.degree, self.knots, len(self.control_points_camera))
         else:
             require(len(self.control_points_camera) == 0, "a failed reconstruction has no control points")
+
+    @property
+    def apart(self) -> "tuple[ThreadReconstruction, ...]":
+        """Each of `strands` as a reconstruction of its own."""
+        none = _no_numbers(0)
+        regions = ReliabilityRegions(none, _no_numbers(0, 3), _no_numbers(0, 2), none, none)
+        return tuple(
+            ThreadReconstruction(
+                stamp=self.stamp,
+                camera=self.camera,
+                status=Status.OK,
+                reason="",
+                method=self.method,
+                regions=regions,
+                calibration_covariance=self.calibration_covariance,
+                **vars(strand),
+            )
+            for strand in self.strands
+        )
+
+    @property
+    def as_strand(self) -> Strand:
+        """What another reconstruction tells of this one, which is OK, among its `strands`."""
+        return Strand(**{name: getattr(self, name) for name in Strand.__dataclass_fields__})
 
 
 def _check_clamped_spline(degree: int, knots: Float64[np.ndarray, "k"], control_points: int) -> None:

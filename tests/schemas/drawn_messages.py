@@ -48,6 +48,9 @@ def recorded():
     found = defaultdict(list)
 
     def keep(value):
+        if isinstance(value, messages.ThreadReconstruction) and value.status is messages.Status.OK:
+            # no release has recorded one yet
+            found[messages.Strand].append(value.as_strand)
         if dataclasses.is_dataclass(value):
             found[type(value)].append(value)
         for part in vars(value).values() if dataclasses.is_dataclass(value) else value:

@@ -15,9 +15,9 @@ from jaxtyping import Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
 from agents.perception.candidates.both_eyes import ELSEWHERE, in_both_eyes
-from agents.perception.candidates.drawn import along, thinned, without
+from agents.perception.candidates.drawn import Piece, along, only, thinned, without
 from agents.perception.candidates.links import looks_of
-from agents.perception.candidates.others import ANOTHER, certainly_others
+from agents.perception.candidates.others import ANOTHER, alike, certainly_others
 from agents.perception.candidates.threads import Threads, lengths_px, pieces_of, threads_of
 from schemas.messages import Centrelines, ThreadCandidate
 from shared.disparities import Disparities, disparities
@@ -53,11 +53,13 @@ class Candidates:
 
     Fields:
         listed: the one that is meant first, the others by score.
+        strands: the centrelines of those that look like it, left and right, which are left out of these.
     """
 
     listed: tuple[ThreadCandidate, ...]
     left: Centrelines
     right: Centrelines
+    strands: tuple[tuple[Centrelines, Centrelines], ...] = ()
 
 
 def candidates_in(
@@ -95,13 +97,37 @@ def candidates_in(
         )
         for t, mine in zip(order, of_right, strict=True)
     )
-    others = [order[k] for k in certainly_others(listed, occluders, width)]
+    apart = certainly_others(listed, occluders, width)
+    others = [order[k] for k in apart]
     least = eyes.against.min(axis=0, initial=np.inf)
     rather = np.isin(eyes.thread, others) & (eyes.against[chosen] - least >= RATHER)
+    of_left = [[threads.points[t]] for t in order]
     return Candidates(
         listed,
         without(left, [threads.points[t] for t in others]),
         without(right, [pieces[p] for p in np.flatnonzero(rather | (least >= NOBODYS))]),
+        strands_among(listed, apart, (left, right), (of_left, of_right)),
+    )
+
+
+def strands_among(
+    listed: tuple[ThreadCandidate, ...],
+    apart: list[int],
+    lines: tuple[Centrelines, Centrelines],
+    pieces: tuple[list[list[Piece]], list[list[Piece]]],
+) -> tuple[tuple[Centrelines, Centrelines], ...]:
+    """The lines of each candidate that is left out of those of the first one and looks like it.
+
+    Args:
+        apart: the numbers of those that are left out.
+        pieces: of either image's lines, those of each candidate.
+    """
+    if not apart:
+        return ()
+    is_alike = alike(listed)
+    left, right = pieces
+    return tuple(
+        (only(lines[0], left[k]), only(lines[1], right[k])) for k in apart if is_alike[k] and left[k] and right[k]
     )
 
 

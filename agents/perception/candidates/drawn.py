@@ -1,7 +1,7 @@
 """What travels of a line, and centrelines without what is not meant."""
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 
 from schemas.messages import Centrelines
@@ -48,5 +48,16 @@ def without(lines: Centrelines, pieces: list[Piece]) -> Centrelines:
         return lines
     kept = np.ones(len(lines.piece), bool)
     kept[np.concatenate(pieces)] = False
+    return _those(lines, kept)
+
+
+def only(lines: Centrelines, pieces: list[Piece]) -> Centrelines:
+    """These pieces of the centrelines alone."""
+    kept = np.zeros(len(lines.piece), bool)
+    kept[np.concatenate(pieces)] = True
+    return _those(lines, kept)
+
+
+def _those(lines: Centrelines, kept: Bool[np.ndarray, "n"]) -> Centrelines:
     number = np.cumsum(np.diff(lines.piece[kept], prepend=-1) > 0) - 1
     return Centrelines(lines.point_px[kept], number, lines.width_px[kept], lines.deviation_px[kept])

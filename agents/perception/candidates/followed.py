@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from scipy.spatial import cKDTree
 
-from agents.perception.candidates.candidates import Candidates
+from agents.perception.candidates.candidates import Candidates, strands_among
 from agents.perception.candidates.drawn import Piece, along, without
 from agents.perception.candidates.others import certainly_others
 from agents.perception.candidates.threads import pieces_of
@@ -48,6 +48,7 @@ def candidates_followed(
         listed,
         without(left, [piece for k in others for piece in lefts[k]]),
         without(right, [piece for k in others for piece in rights[k]]),
+        strands_among(listed, others, (left, right), (lefts, rights)),
     )
 
 

@@ -46,6 +46,12 @@ def certainly_others(
     ]
 
 
+def alike(listed: tuple[ThreadCandidate, ...]) -> list[bool]:
+    """Of each candidate, whether it may be a part of the first one by its looks."""
+    looks = looks_of_candidates(listed)
+    return [bool(one < ANOTHER) for one in unlikeness(looks, looks)[0]]
+
+
 def _leads_on(one: ThreadCandidate, other: ThreadCandidate) -> bool:
     """Whether the other begins, or ends, near an end of the one, and in the same direction."""
     ends, others = _ends(one.left_px), _ends(other.left_px)

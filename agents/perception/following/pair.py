@@ -4,6 +4,7 @@ All that it goes on from is in those two. Where either eye's thread is not found
 pixel by pixel in the same frame.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -14,10 +15,11 @@ from agents.perception.both_eyes.apart import drawn_together
 from agents.perception.following.appearance import pieces_of
 from agents.perception.following.follow import Followed, follow
 from agents.perception.following.prediction import expected
+from agents.perception.following.stacked import side_by_side
 from agents.perception.mask_image import drawn_mask_image
 from agents.perception.prompt import followed as followed_prompt
 from agents.perception.search import FRAMES_BETWEEN_LOOKS, carried_on, near_is_enough
-from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations, ThreadReconstruction
+from schemas.messages import Centrelines, FrameStamp, RectifiedStereo, ThreadObservations, ThreadReconstruction, Trail
 
 SHIFT_BITS = 3
 """OpenCV draws to fractions of a pixel in fixed point."""
@@ -48,6 +50,16 @@ def mask_along(followed: Followed, shape: tuple[int, ...]) -> UInt8[np.ndarray, 
     return mask
 
 
+def _lost_an_end(before: Sequence[tuple[Centrelines, Trail]], now: Sequence[Followed]) -> bool:
+    """Whether either eye's image shows fewer ends of thread than it did: the length of a strand is told by them."""
+    told = [(_told(trail), _told(eye.trail)) for (_, trail), eye in zip(before, now, strict=True)]
+    return any(then > seen for then, seen in told)
+
+
+def _told(trail: Trail) -> int:
+    return int(trail.told_start.sum() + trail.told_end.sum())
+
+
 def _outline(point: Float64[np.ndarray, "n 2"], half_px: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "m 2"]:
     """A line's, so far to either side: back along the other one."""
     ahead = np.concatenate((point[1:], point[-1:]))
@@ -74,7 +86,8 @@ class FollowedPair:
     """A pair in which the thread was followed.
 
     Fields:
-        observed: with the candidates and occluders of the frame before until they are told apart anew.
+        observed: with the candidates and occluders of the frame before, and all strands among its centrelines, until
+            they are told apart anew.
         coverage: by thread, as drawn.
     """
 
@@ -90,7 +103,7 @@ def follow_pair(
     between: int = FRAMES_BETWEEN_LOOKS,
     thread: ThreadReconstruction | None = None,
 ) -> FollowedPair | None:
-    """Observations of a pair by following the last ones; None where thread is to be looked for.
+    """Observations of a pair by following the last ones, strands included; None where thread is to be looked for.
 
     Args:
         images: rectified, the right eye put in line as for the last observations.
@@ -101,10 +114,19 @@ def follow_pair(
         return None
     if not near_is_enough(last, stamp.sequence, LONGEST_PAUSE, between):
         return None
-    before = (last.centrelines_left, last.trail_left), (last.centrelines_right, last.trail_right)
+    before = (
+        side_by_side(
+            [last.centrelines_left, *(strand.centrelines_left for strand in last.strands)],
+            [last.trail_left, *(strand.trail_left for strand in last.strands)],
+        ),
+        side_by_side(
+            [last.centrelines_right, *(strand.centrelines_right for strand in last.strands)],
+            [last.trail_right, *(strand.trail_right for strand in last.strands)],
+        ),
+    )
     where = expected(camera, before, thread, last.stamp.capture_left_ns, stamp.capture_left_ns)
     found = where if isinstance(where, str) else follow(images, where)
-    if isinstance(found, str):
+    if isinstance(found, str) or (last.strands and _lost_an_end(before, found)):
         return None
     lines = drawn_together(images, (found[0].lines, found[1].lines), shown_px=last.disparities_px)
     left, right = (replace(eye, lines=line) for eye, line in zip(found, lines, strict=True))
@@ -128,6 +150,7 @@ def follow_pair(
         centrelines_right=right.lines,
         trail_left=left.trail,
         trail_right=right.trail,
+        strands=(),
         prompt_px=None if last.prompt_px is None else followed_prompt(last.prompt_px, coverage[0]),
         frames_since_look=last.frames_since_look + 1,
         consumed=(),

@@ -104,6 +104,22 @@ def stacked_trails(trails: Sequence[Trail]) -> Trail:
     return Trail(starts, ends, lengths, colours, told_starts, told_ends)
 
 
+def side_by_side(lines: Sequence[Centrelines], trails: Sequence[Trail]) -> tuple[Centrelines, Trail]:
+    """Several threads of one eye as one, piece after piece."""
+    if len(lines) == 1:
+        return lines[0], trails[0]
+    pieces = [pieces_of(line).number for line in lines]
+    counts = [int(piece[-1]) + 1 if len(piece) else 0 for piece in pieces]
+    first = np.cumsum((0, *counts))
+    whole = Centrelines(
+        np.concatenate([line.point_px for line in lines]),
+        np.concatenate([piece + start for piece, start in zip(pieces, first, strict=False)]),
+        np.concatenate([line.width_px for line in lines]),
+        np.concatenate([line.deviation_px for line in lines]),
+    )
+    return whole, stacked_trails(trails)
+
+
 def trail_of_eye(whole: Trail, piece: Bool[np.ndarray, "k"], sampled: Bool[np.ndarray, "m"]) -> Trail:
     """Of a trail of all eyes, that of some pieces and of the points at which their colours are known."""
     return Trail(

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import NoGraspError, curve_of
+from agents.planner.curve import NoGraspError
 from agents.planner.needle import NeedleAround
 from agents.planner.pulling.segments import meant_by
 from agents.planner.pulling.stopping import decide, straight
@@ -34,10 +34,9 @@ def tail_of(
     told = plan.plan_id, plan.arm, thread.stamp
     held = reached in HOLDS or (reached is None and plan.waypoints[0].phase is Phase.PULL)
     try:
-        curve = curve_of(thread)
-        strands = strands_of(thread, curve, config, meant_by(pull), needle)
+        strands = strands_of(thread, config, meant_by(pull), needle)
         grip, jaw = pull.grip if held else None, jaw_of(T_camera_tool, plan.depth_m or 0.0)
-        is_straight = grip is not None and straight(thread, curve, strands, jaw, config)
+        is_straight = grip is not None and straight(strands, jaw, config)
         verdict = decide(pull.tail_m, strands, grip, jaw, is_straight, config)
     except NoGraspError as error:
         # jaws that pull rest until the tail is measured again

@@ -17,9 +17,9 @@ from jaxtyping import Float64
 
 from agents.planner.captures import AS_LIKELY, ArmView
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import NoGraspError, curve_of
+from agents.planner.curve import NoGraspError
 from agents.planner.plan import plan_grasp
-from agents.planner.pulling.stopping import MM, NEAREST_M, Verdict, decide, in_words, left_m, straight
+from agents.planner.pulling.stopping import MM, NEAREST_M, Verdict, decide, in_words, left_m, straight, travelled_m
 from agents.planner.pulling.strands import SAMPLES, Meant, Strands, strands_of
 from agents.planner.pulling.tail import tail_length
 from agents.planner.pulling.way import Around, Situation, clear_until, clear_way_end, jaw_of, lift_of, moved
@@ -62,9 +62,8 @@ def begin(
         if goal.tail_m < config.least_tail_m:
             least = f"a tail of {MM * config.least_tail_m:.0f} mm at least is left, so that it can be taken again"
             raise NoGraspError(least)
-        curve = curve_of(thread)
-        strands = strands_of(thread, curve, config, Meant(exit_pixel=goal.exit_pixel), around.needle)
-        here = Situation(thread, curve, strands, arm, config, around)
+        strands = strands_of(thread, config, Meant(exit_pixel=goal.exit_pixel), around.needle)
+        here = Situation(strands, arm, config, around)
         verdict = decide(goal.tail_m, strands, None, np.zeros(3), False, config)
         if verdict.stop is not None:
             raise NoGraspError(verdict.sentence)
@@ -81,15 +80,14 @@ def go_on(
     was = plan.pull
     assert was is not None and was.tail_m is not None  # noqa: S101 - asked of pulls that go on alone
     try:
-        curve = curve_of(thread)
-        strands = strands_of(thread, curve, config, meant_by(was), around.needle)
+        strands = strands_of(thread, config, meant_by(was), around.needle)
         depth_m = plan.depth_m or 0.0
         jaw = jaw_of(arm.T_camera_tool, depth_m)
-        is_straight = was.grip is not None and straight(thread, curve, strands, jaw, config)
+        is_straight = was.grip is not None and straight(strands, jaw, config)
         verdict = decide(was.tail_m, strands, was.grip, jaw, is_straight, config)
     except NoGraspError:
         return None
-    here = Situation(thread, curve, strands, arm, config, around)
+    here = Situation(strands, arm, config, around)
     if verdict.stop is PullStop.END_UNSEEN:
         return None
     named = f"pull-{plan.goal_id}.{was.segment + 1}"
@@ -136,7 +134,7 @@ def meant_by(pull: Pull) -> Meant:
     if pull.exit is None or pull.entry is None:
         return Meant()
     longest_m = None if pull.tail is None else pull.tail.interval_m[1]
-    return Meant(None, pull.exit.point_camera, pull.entry.point_camera, longest_m)
+    return Meant(None, pull.exit.point_camera, pull.entry.point_camera, pull.shortest_m, longest_m)
 
 
 def _pull(tail_m: float, segment: int, strands: Strands, grip: PullGrip | None, sentence: str) -> Pull:
@@ -152,20 +150,19 @@ def _grasped(name: str, header: CommandHeader, arm_name: str, pull: Pull, here: 
     Raises:
         NoGraspError: where there is none.
     """
-    curve, config, around = here.curve, here.config, here.around
+    line, config, around = here.strands.line, here.config, here.around
     if here.strands.standing is None:
-        raise NoGraspError(
-            "the strand to pull is not reconstructed as one with the tail: clear the view, and ask again"
-        )
+        raise NoGraspError("the strand to pull is not seen: clear the view, and ask again")
     entry, far = here.strands.standing
-    long_m = abs(far - entry) * curve.length_m
+    long_m = abs(far - entry) * line.curve.length_m
     best: GraspPlan | None = None
     best_chance, best_grasps = 0.0, 1
     why = f"the standing strand is {MM * long_m:.0f} mm long, too short to be grasped clear of its entry"
     for from_entry_m in (one for one in FROM_ENTRY_M if one < long_m - config.grasp_arc_m):
-        s = float(entry + (1.0 if far > entry else -1.0) * from_entry_m / curve.length_m)
+        s = float(entry + (1.0 if far > entry else -1.0) * from_entry_m / line.curve.length_m)
         goal = GraspGoal(header, arm_name, Policy.DIRECT, s, None, None, attempts=1)
-        grasp = plan_grasp(goal, here.thread, here.arm, config, around.tissue, needle=around.needle)
+        beside = here.strands.tail_points
+        grasp = plan_grasp(goal, line.thread, here.arm, config, around.tissue, needle=around.needle, beside=beside)
         obstructed = grasp.thread.obstructed if grasp.thread is not None else ""
         if grasp.status is not Status.OK or obstructed:
             why = grasp.reason or obstructed
@@ -192,10 +189,11 @@ def _pulling(grasp: GraspPlan, s: float, pull: Pull, here: Situation) -> GraspPl
     to_grasp = tuple(waypoint for waypoint in grasp.waypoints if waypoint.phase is not Phase.RETREAT)
     T_grasp, depth_m = to_grasp[-1].T_camera_tool, grasp.depth_m or 0.0
     way_end = clear_way_end(T_grasp, depth_m, here)
-    between = np.linspace(strands.entry.s or 0.0, s, SAMPLES)
-    covariance = thread_covariance(here.thread, here.curve, between)
+    line, (into, _) = strands.line, strands.standing or (0.0, 1.0)
+    between = np.linspace(into, s, SAMPLES)
+    covariance = thread_covariance(line.thread, line.curve, between)
     assert covariance is not None  # noqa: S101 - strands are of a thread that tells it
-    strand = tail_length(here.curve.points(between), covariance, config.correlation_m)
+    strand = tail_length(line.curve.points(between), covariance, config.correlation_m)
     run_m = min(left_m(strands.tail, pull.tail_m or 0.0), config.pull_segment_m)
     if way_end is None or np.linalg.norm(way_end - entry) < strand.length_m + run_m:
         return None
@@ -214,6 +212,9 @@ def _pulling(grasp: GraspPlan, s: float, pull: Pull, here: Situation) -> GraspPl
         grip=grip,
         sentence=f"{told}; grasp succeeds with {grasp.probability:.0%}; {pull.sentence}",
     )
+    if not line.is_meant:
+        # shares of a curve that is not the message's own would be taken for places on that one
+        grasp = replace(grasp, s_goal=None, s_capture=None)
     return replace(grasp, waypoints=(*to_grasp, *pulls), pull=pulled)
 
 
@@ -255,6 +256,14 @@ def _target(
     return places[int(np.argmax(enough))] if enough.any() else places[-1]
 
 
+def _shortest_m(pull: Pull, jaw: Float64[np.ndarray, "3"], config: PlannerConfig) -> float | None:
+    """As long as the tail is at least where the jaws let go: what they did not take since they grasped."""
+    if pull.grip is None:
+        return pull.shortest_m
+    took_m = travelled_m(pull.grip, jaw) + SIGMAS_95 * float(np.hypot(pull.grip.deviation_m, config.tool_error_m))
+    return max(pull.grip.tail.interval_m[0] - took_m, 0.0)
+
+
 def _surely_m(grip: PullGrip) -> float:
     """a⁻."""
     return max(grip.strand_m - SIGMAS_95 * grip.deviation_m, 0.0)
@@ -270,8 +279,16 @@ def _over(
     verdict: Verdict,
 ) -> GraspPlan:
     """Let go of what is held: for good where the verdict says to stop, else to grasp anew."""
-    freed = replace(pull, grip=None, last=verdict.stop is not None, stop=verdict.stop, sentence=verdict.sentence)
-    held = plan.pull is not None and plan.pull.grip is not None
+    was = plan.pull
+    held = was is not None and was.grip is not None
+    freed = replace(
+        pull,
+        grip=None,
+        last=verdict.stop is not None,
+        stop=verdict.stop,
+        sentence=verdict.sentence,
+        shortest_m=None if was is None else _shortest_m(was, jaw_of(arm.T_camera_tool, plan.depth_m or 0.0), config),
+    )
     opened = float(np.radians(config.open_deg))
     stays = (Waypoint(arm.T_camera_tool, opened, Phase.RELEASE, None),)
     way = _letting_go(arm, config) if held else stays

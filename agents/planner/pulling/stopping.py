@@ -22,11 +22,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import NoGraspError, ThreadCurve
+from agents.planner.curve import NoGraspError
 from agents.planner.pulling.strands import GIVES_M, SAMPLES, Strands
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
-from schemas.messages import EndSight, PullGrip, PullStop, TailLength, ThreadReconstruction
+from schemas.messages import EndSight, PullGrip, PullStop, TailLength
 from schemas.messages.pulling import SIGMAS_95
 
 NEAREST_M = 0.0005
@@ -71,21 +71,21 @@ def decide(
     """
     tail = strands.tail
     told = in_words(tail)
-    both, ran_m, travelled_m, unsure_m = "", None, None, 0.0
+    both, ran_m, took_m, unsure_m = "", None, None, 0.0
     if grip is not None:
         ran_m = grip.tail.length_m - tail.length_m
-        travelled_m = max(0.0, float(np.linalg.norm(jaw_camera - grip.entry_camera)) - grip.strand_m)
+        took_m = travelled_m(grip, jaw_camera)
         deviations = tail.deviation_m, grip.tail.deviation_m, grip.deviation_m, config.tool_error_m
         unsure_m = SIGMAS_95 * float(np.linalg.norm(deviations))
-        took = f"{MM * travelled_m:.1f} (± {MM * unsure_m:.1f})"
+        took = f"{MM * took_m:.1f} (± {MM * unsure_m:.1f})"
         both = f"; the tail shortened by {MM * ran_m:.1f} mm where the jaws took {took}"
-        if ran_m < -unsure_m or (ran_m > travelled_m + unsure_m and not tail.at_least):
+        if ran_m < -unsure_m or (ran_m > took_m + unsure_m and not tail.at_least):
             raise NoGraspError(f"what is taken for the tail is not the one that is pulled: {told}{both}")
     low_m, high_m = tail.interval_m
     if grip is not None and high_m is None and low_m - tail_m >= config.pull_segment_m:
         drawn_m = float(np.linalg.norm(strands.entry.point_camera - grip.entry_camera))
         if strands.entry.sight is EndSight.SEEN and drawn_m <= GIVES_M + unsure_m:
-            return Verdict(None, f"{told}, and the jaws drew the entry by {MM * drawn_m:.1f} mm", None, travelled_m)
+            return Verdict(None, f"{told}, and the jaws drew the entry by {MM * drawn_m:.1f} mm", None, took_m)
     if strands.free_end.sight is not EndSight.SEEN:
         why = "hidden" if strands.free_end.sight is EndSight.HIDDEN else "out of view"
         return Verdict(PullStop.END_UNSEEN, f"the free end is {why}: {told}, and whether it runs cannot be told")
@@ -96,13 +96,18 @@ def decide(
         if high_m is None or high_m - low_m > 2.0 * WITHIN_M:
             return Verdict(PullStop.END_UNSEEN, f"{asked}, which is not known well enough: look from nearer")
         return Verdict(PullStop.REACHED, asked)
-    if ran_m is None or travelled_m is None or travelled_m - ran_m <= unsure_m + GIVES_M:
-        return Verdict(None, f"{told}{both}", ran_m, travelled_m)
+    if ran_m is None or took_m is None or took_m - ran_m <= unsure_m + GIVES_M:
+        return Verdict(None, f"{told}{both}", ran_m, took_m)
     if is_straight:
         held = f"{told}{both}, and the strand that is pulled is straight: it is held in the tissue"
-        return Verdict(PullStop.TENSION, held, ran_m, travelled_m)
+        return Verdict(PullStop.TENSION, held, ran_m, took_m)
     slips = f"{told}{both}, and the strand that is pulled is slack: it slips through the jaws, or they missed it"
-    return Verdict(PullStop.NOT_RUNNING, slips, ran_m, travelled_m)
+    return Verdict(PullStop.NOT_RUNNING, slips, ran_m, took_m)
+
+
+def travelled_m(grip: PullGrip, jaw_camera: Float64[np.ndarray, "3"]) -> float:
+    """How much of the strand must have run out by where the jaws are."""
+    return max(0.0, float(np.linalg.norm(jaw_camera - grip.entry_camera)) - grip.strand_m)
 
 
 def left_m(tail: TailLength, tail_m: float) -> float:
@@ -113,16 +118,11 @@ def left_m(tail: TailLength, tail_m: float) -> float:
     return max(low_m, high_m - WITHIN_M) - tail_m
 
 
-def straight(
-    thread: ThreadReconstruction,
-    curve: ThreadCurve,
-    strands: Strands,
-    jaw_camera: Float64[np.ndarray, "3"],
-    config: PlannerConfig,
-) -> bool:
+def straight(strands: Strands, jaw_camera: Float64[np.ndarray, "3"], config: PlannerConfig) -> bool:
     """Whether the strand from the entry to the jaws is no longer than the way; also where it is not seen so far."""
     if strands.standing is None:
         return True
+    thread, curve = strands.line.thread, strands.line.curve
     s = np.linspace(*strands.standing, 4 * SAMPLES)
     points = curve.points(s)
     off_m = np.linalg.norm(points - jaw_camera, axis=1)

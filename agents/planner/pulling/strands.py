@@ -1,25 +1,24 @@
 """The tail and the standing strand of a thread that passes through tissue, and the three ends between them.
 
-Tissue hides a few millimetres of the thread. Where a reconstruction is one curve with an unseen gap, two ends face each
-other across the tissue: one is the tail's exit, the other the standing strand's entry. Which is which is told by a
-pixel of the user's, by the frame before, by the needle, or by which far end is seen; where none of these tells, nothing
-is guessed. While jaws hide the standing strand the tail alone may be left, which ends where its exit was a frame ago.
-Strands that are reconstructed apart are not pulled: only one of them is followed from frame to frame, and of the other
-perception tells where it was when it last looked at the whole.
+Tissue hides a few millimetres of the thread. On both sides of it two ends face each other: one is the tail's exit, the
+other the standing strand's entry. They are the ends of an unseen gap in one reconstructed curve, or of two curves that
+are nearer to each other than to any other end. Which is which is told by a pixel of the user's, by the frame before, by
+the needle, or by which far end is seen; where none of these tells, nothing is guessed. While jaws hide the standing
+strand the tail alone may be left, which ends where its exit was a frame ago.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import NoGraspError, ThreadCurve, pixels
+from agents.planner.curve import NoGraspError, ThreadCurve, curve_of, pixels
 from agents.planner.needle import NeedleAround
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
-from schemas.messages import SURE, EndSight, StrandEnd, TailLength, ThreadReconstruction
+from schemas.messages import SURE, EndSight, Status, StrandEnd, TailLength, ThreadReconstruction
 from shared.camera import project
 
 SAMPLES = 81
@@ -28,14 +27,15 @@ LEAST_GAP_M, MOST_GAP_M = 0.002, 0.015
 LEAST_BITE_M, MOST_BITE_M = 0.003, 0.010
 GIVES_M = 0.0025
 """By so much tissue follows thread that runs: 0.45 N over 0.2 N/mm (docs/simulator.md, physics of a pull)."""
-END_PX = 2.0
-"""Points of a centreline lie so far apart, so that its last one is up to so far from where the thread ends."""
-BORDER_PX = 2.0 * END_PX
-"""What ends so near to the border of an image leaves it."""
+END_PX = 3.0
+"""The last point of a centreline is up to so far from where the thread ends, or tissue takes it in: over 20 simulated
+pulls strands are told 0.2 to 0.7 mm too long."""
+BORDER_PX = 10.0
+"""What ends so near to the border of an image leaves it: thread is followed up to some 7 px from there."""
 WHICH = "name the tail's exit by its pixel (--exit-pixel U V)"
 NO_BITE = (
-    "no place is seen at which the thread passes through tissue as one curve, so its tail cannot be measured: lay both "
-    "strands nearly in line with the bite, clear of each other, and ask again"
+    "no place is seen at which the thread passes through tissue, so its tail cannot be measured: lay both strands so "
+    "that both eyes see them up to where tissue takes them in, clear of each other, and ask again"
 )
 
 
@@ -44,13 +44,23 @@ class Meant:
     """Which exit is meant: that at a pixel, or where exit and entry were a frame ago; neither where nothing tells.
 
     Fields:
-        longest_m: as long as the tail was at most; None where nobody has measured it to its end.
+        shortest_m, longest_m: as long as the tail can be; None where nobody has measured it to its end.
     """
 
     exit_pixel: Float64[np.ndarray, "2"] | None = None
     exit_camera: Float64[np.ndarray, "3"] | None = None
     entry_camera: Float64[np.ndarray, "3"] | None = None
+    shortest_m: float | None = None
     longest_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve that is seen of a thread; `is_meant` where it is the message's own, and none of its strands."""
+
+    thread: ThreadReconstruction
+    curve: ThreadCurve
+    is_meant: bool
 
 
 @dataclass(frozen=True)
@@ -59,15 +69,18 @@ class Strands:
 
     Fields:
         tail: from the free end to the exit.
-        standing: shares of the reconstructed thread's length at the entry and at the strand's other end; None where
-            that strand is not what was reconstructed.
+        line: that the standing strand is a part of; the tail's own where that strand is not seen.
+        standing: shares of that line's length at the entry and at the strand's other end; None where it is not seen.
+        tail_points: along the tail, where that is on another line; none else.
     """
 
     free_end: StrandEnd
     exit: StrandEnd
     entry: StrandEnd
     tail: TailLength
+    line: Line
     standing: tuple[float, float] | None
+    tail_points: Float64[np.ndarray, "k 3"]
 
 
 @dataclass(frozen=True)
@@ -75,7 +88,7 @@ class _Bite:
     """One way to take a gap.
 
     Fields:
-        standing: as in `Strands`.
+        line, standing: as in `Strands`; of_tail: the line that the tail is a part of.
         far: the standing strand's other end.
         points, covariance: of the tail, from its free end to its exit.
     """
@@ -84,17 +97,25 @@ class _Bite:
     exit: StrandEnd
     entry: StrandEnd
     far: StrandEnd
+    of_tail: Line
+    line: Line
     standing: tuple[float, float] | None
     points: Float64[np.ndarray, "n 3"]
     covariance: Float64[np.ndarray, "n 3 3"]
 
 
+def lines_of(thread: ThreadReconstruction) -> list[Line]:
+    """All curves of a message, the one that is meant first.
+
+    Raises:
+        NoGraspError: where there is none, or it is none of a thread.
+    """
+    found = [thread, *thread.apart] if thread.status is Status.OK or not thread.strands else [*thread.apart]
+    return [Line(one, curve_of(one), one is thread) for one in found]
+
+
 def strands_of(
-    thread: ThreadReconstruction,
-    curve: ThreadCurve,
-    config: PlannerConfig,
-    meant: Meant,
-    needle: NeedleAround | None = None,
+    thread: ThreadReconstruction, config: PlannerConfig, meant: Meant, needle: NeedleAround | None = None
 ) -> Strands:
     """The strands of a thread, its ends and its tail, in metres and the camera frame.
 
@@ -102,11 +123,13 @@ def strands_of(
         NoGraspError: where the thread passes through no tissue that is seen, or which strand is the tail cannot be
             told.
     """
-    if thread_covariance(thread, curve, np.zeros(1)) is None:
+    lines = lines_of(thread)
+    if any(thread_covariance(line.thread, line.curve, np.zeros(1)) is None for line in lines):
         raise NoGraspError("the reconstruction does not tell how well it knows the thread, so no tail can be measured")
-    bite = _meant(
-        [*_on_one_curve(thread, curve)], [*_alone(thread, curve, meant, config)], curve, config, meant, needle
-    )
+    bites = [bite for line in lines for bite in _on_one_curve(line)] + [*_between(lines)]
+    alone = [bite for line in lines for bite in _alone(line, meant, config)]
+    curve = lines[0].curve
+    bite = _meant(bites, alone, curve, config, meant, needle)
     depth_m = float(np.mean([bite.free_end.point_camera[2], bite.exit.point_camera[2]]))
     hidden = bite.free_end.sight is not EndSight.SEEN
     # beyond the border nothing is seen, and what is told of it is a guess
@@ -116,20 +139,55 @@ def strands_of(
         bite.points[shown], bite.covariance[shown], config.correlation_m, END_PX * depth_m / curve.camera.fx_px, hidden
     )
     tail = replace(tail, deviation_m=float(np.hypot(tail.deviation_m, _beyond_m(bite, meant))))
-    if meant.longest_m is not None and tail.interval_m[0] > meant.longest_m:
+    low_m, high_m = tail.interval_m
+    if meant.longest_m is not None and low_m > meant.longest_m:
         at_most = f"a tail of {1e3 * meant.longest_m:.1f} mm at most"
         raise NoGraspError(f"what is taken for {at_most} is {1e3 * tail.length_m:.1f} mm long, and is another strand")
-    return Strands(bite.free_end, bite.exit, bite.entry, tail, bite.standing)
+    if meant.shortest_m is not None and high_m is not None and high_m < meant.shortest_m:
+        at_least = f"a tail of {1e3 * meant.shortest_m:.1f} mm at least"
+        raise NoGraspError(f"of {at_least} only {1e3 * tail.length_m:.1f} mm are seen, though its end seems to be")
+    apart = bite.points if bite.of_tail is not bite.line else np.zeros((0, 3))
+    return Strands(bite.free_end, bite.exit, bite.entry, tail, bite.line, bite.standing, apart)
 
 
-def _on_one_curve(thread: ThreadReconstruction, curve: ThreadCurve) -> Iterator[_Bite]:
-    for start, end in _gaps(thread, curve):
+def _on_one_curve(line: Line) -> Iterator[_Bite]:
+    for start, end in _gaps(line.thread, line.curve):
         for free, out, into, far in ((0.0, start, end, 1.0), (1.0, end, start, 0.0)):
-            s = np.linspace(free, out, SAMPLES)
-            tip, exit_, entry, other = (_end(thread, curve, one) for one in (free, out, into, far))
-            covariance = thread_covariance(thread, curve, s)
-            assert covariance is not None  # noqa: S101 - looked at before
-            yield _Bite(tip, exit_, entry, other, (into, far), curve.points(s), covariance)
+            yield _bite((line, free, out), (line, into, far))
+
+
+def _between(lines: Sequence[Line]) -> Iterator[_Bite]:
+    """Where ends of two curves face each other, as far apart as a bite is long, and nearer than to any other end."""
+    ends = [(line, s) for line in lines for s in (0.0, 1.0) if _may_go_in(line, s)]
+    if len(ends) < 2:
+        return
+    place = np.stack([line.curve.points(np.array([s]))[0] for line, s in ends])
+    apart_m = np.linalg.norm(place[:, None] - place[None], axis=2)
+    np.fill_diagonal(apart_m, np.inf)
+    nearest = np.argmin(apart_m, axis=1)
+    for k, other in enumerate(nearest.tolist()):
+        (tail, out), (standing, into) = ends[k], ends[other]
+        if tail is not standing and nearest[other] == k and LEAST_GAP_M <= apart_m[k, other] <= MOST_GAP_M:
+            yield _bite((tail, 1.0 - out, out), (standing, into, 1.0 - into))
+
+
+def _may_go_in(line: Line, s: float) -> bool:
+    """Whether tissue may take in a curve at its end: where it leaves the view, or an instrument hides it, none does."""
+    hidden = line.thread.ends_hidden is not None and bool(line.thread.ends_hidden[int(s)])
+    return not hidden and _in_view(line.curve, line.curve.points(np.array([s]))[0]) is EndSight.SEEN
+
+
+def _bite(tail: tuple[Line, float, float], standing: tuple[Line, float, float]) -> _Bite:
+    """A bite between two stretches of curves: from free end to exit, and from entry to the other end."""
+    (line, free, out), (on, into, far) = tail, standing
+    s = np.linspace(free, out, SAMPLES)
+    covariance = thread_covariance(line.thread, line.curve, s)
+    assert covariance is not None  # noqa: S101 - looked at before
+    # what tissue takes in ends there, whatever else might hide how it goes on
+    exit_, entry = (
+        replace(_end(*end), sight=_in_view(end[0].curve, _end(*end).point_camera)) for end in ((line, out), (on, into))
+    )
+    return _Bite(_end(line, free), exit_, entry, _end(on, far), line, on, (into, far), line.curve.points(s), covariance)
 
 
 def _gaps(thread: ThreadReconstruction, curve: ThreadCurve) -> Iterator[tuple[float, float]]:
@@ -152,21 +210,21 @@ def _gaps(thread: ThreadReconstruction, curve: ThreadCurve) -> Iterator[tuple[fl
             yield start, end
 
 
-def _alone(thread: ThreadReconstruction, curve: ThreadCurve, meant: Meant, config: PlannerConfig) -> Iterator[_Bite]:
+def _alone(line: Line, meant: Meant, config: PlannerConfig) -> Iterator[_Bite]:
     """A tail that ends where its exit was, and nearer to that than to where the entry was."""
     if meant.exit_camera is None or meant.entry_camera is None:
         return
     s = np.linspace(0.0, 1.0, SAMPLES)
-    points, covariance = curve.points(s), thread_covariance(thread, curve, s)
+    points, covariance = line.curve.points(s), thread_covariance(line.thread, line.curve, s)
     assert covariance is not None  # noqa: S101 - looked at before
     for mine in (0, -1):
         off_m = float(np.linalg.norm(points[mine] - meant.exit_camera))
         if off_m <= min(config.goal_within_m, float(np.linalg.norm(points[mine] - meant.entry_camera))):
-            here = replace(_end(thread, curve, float(s[mine])), sight=EndSight.SEEN)
+            here = replace(_end(line, float(s[mine])), sight=EndSight.SEEN)
             entry = StrandEnd(meant.entry_camera, here.covariance, EndSight.HIDDEN)
             order = slice(None, None, -1) if mine == 0 else slice(None)
-            tip = _end(thread, curve, float(s[-1 - mine]))
-            yield _Bite(tip, here, entry, entry, None, points[order], covariance[order])
+            tip = _end(line, float(s[-1 - mine]))
+            yield _Bite(tip, here, entry, entry, line, line, None, points[order], covariance[order])
 
 
 def _beyond_m(bite: _Bite, meant: Meant) -> float:
@@ -193,7 +251,7 @@ def _meant(
         if bites and min(off_m) <= config.goal_within_m:
             return bites[int(np.argmin(off_m))]
         if alone:
-            return alone[0]
+            return min(alone, key=lambda bite: _apart(bite.exit, were[0]))
         if bites:
             raise NoGraspError(f"exit and entry are not seen where they were: {1e3 * min(off_m):.0f} mm off")
     if not bites:
@@ -221,15 +279,15 @@ def _apart(end: StrandEnd, place_camera: Float64[np.ndarray, "3"]) -> float:
     return float(np.linalg.norm(end.point_camera - place_camera))
 
 
-def _end(thread: ThreadReconstruction, curve: ThreadCurve, s: float) -> StrandEnd:
+def _end(line: Line, s: float) -> StrandEnd:
     """An end of the curve, or of what is seen of it."""
     at = np.array([s])
-    point, covariance = curve.points(at)[0], thread_covariance(thread, curve, at)
+    point, covariance = line.curve.points(at)[0], thread_covariance(line.thread, line.curve, at)
     assert covariance is not None  # noqa: S101 - looked at before
-    sight = _in_view(curve, point)
-    if sight is EndSight.SEEN and s in (0.0, 1.0) and _hides(thread, curve, int(s)):
+    sight = _in_view(line.curve, point)
+    if sight is EndSight.SEEN and s in (0.0, 1.0) and _hides(line.thread, line.curve, int(s)):
         sight = EndSight.HIDDEN
-    return StrandEnd(point, covariance[0], sight, s)
+    return StrandEnd(point, covariance[0], sight, s if line.is_meant else None)
 
 
 def _hides(thread: ThreadReconstruction, curve: ThreadCurve, which: int) -> bool:

@@ -17,12 +17,11 @@ from jaxtyping import Bool, Float64
 
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import ThreadCurve, unit_vectors
+from agents.planner.curve import unit_vectors
 from agents.planner.jaws import SHAFT_M, SHAFT_RADIUS_M, aside_pass, clearances, instrument_at, nearest_to_tissue
 from agents.planner.needle import NeedleAround
 from agents.planner.pulling.strands import Strands
 from agents.planner.tissue_clearance import SeenTissue
-from schemas.messages import ThreadReconstruction
 from shared.kinematics.psm import FINGER_M
 
 STEP_M, POINTS = 0.001, 400
@@ -48,8 +47,6 @@ class Around:
 class Situation:
     """What a segment of a pull is planned in: the thread as it is seen, the arm, and what is around both."""
 
-    thread: ThreadReconstruction
-    curve: ThreadCurve
     strands: Strands
     arm: ArmView
     config: PlannerConfig
@@ -137,9 +134,9 @@ def _clear_of_all(
     closed = np.full(len(poses), np.radians(config.closed_deg))
     instrument = instrument_at(poses, closed, here.arm.T_camera_base)
     s = np.linspace(0.0, 1.0, POINTS)
-    points = here.curve.points(s)
+    points = here.strands.line.curve.points(s)
     clear = np.ones(len(poses), bool)
-    counts = points[_counts(s, points, jaws[0], here)]
+    counts = np.concatenate((points[_counts(s, points, jaws[0], here)], here.strands.tail_points))
     if len(counts):
         clear &= clearances(instrument, counts).min(axis=1) >= config.thread_radius_m + config.thread_clear_m
     if around.needle is not None:
@@ -165,7 +162,7 @@ def _counts(
     entry, far = here.strands.standing
     standing = (s >= min(entry, far)) & (s <= max(entry, far))
     held = s[standing][np.argmin(np.linalg.norm(points[standing] - jaw_camera, axis=1))] if standing.any() else entry
-    behind_m = (s - held) * here.curve.length_m * (1.0 if far > entry else -1.0)
+    behind_m = (s - held) * here.strands.line.curve.length_m * (1.0 if far > entry else -1.0)
     with_jaws_m = here.config.grasp_arc_m
     return (behind_m < -with_jaws_m) | (behind_m > here.config.pull_reach_m + with_jaws_m)
 

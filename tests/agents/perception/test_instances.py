@@ -123,6 +123,21 @@ def test_candidates_are_followed_where_they_go():
     assert [c.left_px.tolist() for c in alone.listed[1:]] == [c.left_px.tolist() for c in now.listed[1:]]
 
 
+def test_a_thread_that_looks_like_the_one_that_is_meant_is_measured_beside_it_and_followed_where_it_goes():
+    images, lines, steel = seen(((LONG, BLACK), (SHORT, BLACK), (((80, 40), (400, 60)), GREEN)))
+    whole = candidates_in(images, lines, occluders=steel)
+    ((left, right),) = whole.strands
+    assert lies_on(whole.left.point_px, LONG)
+    assert lies_on(left.point_px, SHORT)
+    assert lies_on(right.point_px + ACROSS, SHORT)
+    there = [tuple((u + 6, v - 5) for u, v in line) for line in (LONG, SHORT)]
+    _, lines, steel = seen(tuple((line, BLACK) for line in there))
+    black = tuple(one for one in whole.listed if not lies_on(one.left_px, ((80, 40), (400, 60))))
+    ((left, right),) = candidates_followed(black, lines, steel, WIDTH).strands
+    assert lies_on(left.point_px, there[1])
+    assert lies_on(right.point_px + ACROSS, there[1])
+
+
 @given(st.integers(0, 3), st.integers(0, 5), st.integers(0, 9))
 def test_no_centrelines_are_too_odd_to_be_told_apart(pieces, points, seed):
     rng = np.random.default_rng(seed)

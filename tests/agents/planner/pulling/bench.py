@@ -57,11 +57,13 @@ def threaded(
     deviations_mm=(0.1, 0.1, 0.3),
     loose_mm=LOOSE_MM,
     at_ns=bench.CAPTURED_NS,
+    parted=False,
     **changes,
 ):
     """A straight tail to the left of the bite, and to its right the standing strand.
 
     Args:
+        parted: each strand is a curve of its own, the standing one that which is meant.
         jaw_mm: where jaws hold it, `held_mm` of it from the entry; it is straight up to there, and hangs down beyond.
     """
     exit_mm = ENTRY_MM - (BITE_MM, 0, 0)
@@ -71,11 +73,16 @@ def threaded(
         jaw = np.asarray(jaw_mm, float)
         left = loose_mm - held_mm
         standing = [ENTRY_MM, jaw, jaw + left * np.array((0.9, 0.43, 0.0))]
+    stamp = FrameStamp(7, at_ns, at_ns, "bench")
+    if parted:
+        tail, made = (bench.polyline(*path(corners, 60)[0]) for corners in ([free, exit_mm], standing))
+        tail, made = bench.known(tail, *deviations_mm), bench.known(made, *deviations_mm)
+        return dataclasses.replace(made, strands=(tail.as_strand,), stamp=stamp, **changes)
     points, long_mm = path([free, exit_mm, *standing], 120)
     start, end = tail_mm / long_mm, (tail_mm + BITE_MM) / long_mm
     made = bench.polyline(*points, unseen=[(start, end)], **changes)
     made = bench.known(made, *deviations_mm)
-    return dataclasses.replace(made, stamp=FrameStamp(7, at_ns, at_ns, "bench"))
+    return dataclasses.replace(made, stamp=stamp)
 
 
 class Field:
@@ -87,9 +94,10 @@ class Field:
         slips: of the thread in the jaws.
         blind: no thread is found; hides_end: something lies on the free end.
         beats: somebody stands by.
+        parted: as `threaded` has it.
     """
 
-    def __init__(self, tail_mm=30.0, planner=None, config=None):
+    def __init__(self, tail_mm=30.0, planner=None, config=None, parted=False):
         self.tail_mm, self.gives, self.slips, self.blind, self.hides_end, self.beats = (
             tail_mm,
             1.0,
@@ -98,7 +106,7 @@ class Field:
             False,
             True,
         )
-        self.films = True
+        self.films, self.parted = True, parted
         self.bridge = RobotBridge(config or RobotBridgeConfig(), SimulatedPsm())
         self.steps = Lockstep(planner or Planner(), self.bridge, rig="bench")
         self.held_mm, self.at_grasp_mm, self.arming = 0.0, None, None
@@ -135,7 +143,7 @@ class Field:
         if not thread:
             return
         jaw = self._jaw_mm(state) if self.at_grasp_mm is not None else None
-        seen = bench.failed() if self.blind else threaded(self.tail_mm, jaw, self.held_mm)
+        seen = bench.failed() if self.blind else threaded(self.tail_mm, jaw, self.held_mm, parted=self.parted)
         if self.hides_end and not self.blind:
             seen = dataclasses.replace(seen, ends_hidden=np.array([True, False]))
         self.steps.tell([Output(THREAD, dataclasses.replace(seen, stamp=stamp))])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import NoGraspError, curve_of
+from agents.planner.curve import NoGraspError
 from agents.planner.pulling.stopping import decide, straight
 from agents.planner.pulling.strands import Meant, strands_of
 from schemas.messages import EndSight, PullGrip, PullStop, TailLength
@@ -20,7 +20,7 @@ JAW_MM = ENTRY_MM + np.array((10.0, 2.0, 0.0))
 
 def seen(tail_mm=25.0, sight=EndSight.SEEN, deviation_mm=0.3):
     thread = threaded(30.0)
-    told = strands_of(thread, curve_of(thread), CONFIG, Meant(EXIT_PX))
+    told = strands_of(thread, CONFIG, Meant(EXIT_PX))
     tail = TailLength(1e-3 * tail_mm, 1e-3 * deviation_mm, at_least=sight is not EndSight.SEEN)
     return dataclasses.replace(told, tail=tail, free_end=dataclasses.replace(told.free_end, sight=sight))
 
@@ -87,9 +87,7 @@ def test_a_strand_is_straight_where_it_is_no_longer_than_the_way_to_the_jaws_or_
         points, long_mm = path([free, ENTRY_MM - np.array((BITE_MM, 0, 0)), ENTRY_MM, *corners], 300)
         at = np.linalg.norm(points - ENTRY_MM, axis=1).argmin() / 299
         thread = bench.known(bench.polyline(*points, unseen=[(at - BITE_MM / long_mm, at)]), 0.1, 0.1, 0.3)
-        curve = curve_of(thread)
-        strands = strands_of(thread, curve, CONFIG, Meant(EXIT_PX))
-        return straight(thread, curve, strands, np.asarray(jaw_mm) / 1e3, CONFIG)
+        return straight(strands_of(thread, CONFIG, Meant(EXIT_PX)), np.asarray(jaw_mm) / 1e3, CONFIG)
 
     end, loop = ENTRY_MM + np.array((20.0, 0.0, 0.0)), ENTRY_MM + np.array((10.0, 8.0, 0.0))
     assert is_straight(end, end)

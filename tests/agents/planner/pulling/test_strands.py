@@ -20,7 +20,7 @@ ENTRY_PX = EXIT_PX + np.array((1000 * BITE_MM / 80, 0))
 
 
 def found(thread, exit_pixel=None, needle=None, **meant):
-    return strands_of(thread, curve_of(thread), PlannerConfig(), Meant(exit_pixel, **meant), needle)
+    return strands_of(thread, PlannerConfig(), Meant(exit_pixel, **meant), needle)
 
 
 def refused(*args, **rest):
@@ -55,6 +55,61 @@ def test_without_a_pixel_the_frame_before_the_needle_or_what_leaves_the_view_tel
     hidden = dataclasses.replace(thread, ends_hidden=np.array([False, True]))
     assert found(hidden).standing == before.standing
     assert "the tail cannot be told" in refused(dataclasses.replace(thread, ends_hidden=np.array([True, True])))
+
+
+def apart(tail, standing, **changes):
+    """Both strands as two curves, that of `standing` the one that is meant."""
+    return dataclasses.replace(standing, strands=(tail.as_strand,), **changes)
+
+
+def straight(*ends, **changes):
+    return dataclasses.replace(bench.known(bench.straight(*ends), 0.1, 0.1, 0.3), **changes)
+
+
+TAIL, STANDING = straight(FREE_MM, EXIT_MM), straight(ENTRY_MM, FAR_MM)
+
+
+@pytest.mark.parametrize("thread", [apart(TAIL, STANDING), apart(STANDING, TAIL)], ids=["standing", "tail"])
+def test_two_curves_whose_ends_face_each_other_are_both_strands_whichever_is_meant(thread):
+    told = found(thread, EXIT_PX)
+    assert told.tail.length_m == pytest.approx(1e-3 * np.hypot(15, 18))
+    assert not told.tail.at_least
+    np.testing.assert_allclose(1e3 * told.exit.point_camera, EXIT_MM, atol=0.1)
+    np.testing.assert_allclose(1e3 * told.entry.point_camera, ENTRY_MM, atol=0.1)
+    np.testing.assert_allclose(1e3 * told.tail_points[[0, -1]], [FREE_MM, EXIT_MM], atol=0.1)
+    np.testing.assert_allclose(1e3 * told.line.curve.points(np.array(told.standing)), [ENTRY_MM, FAR_MM], atol=0.1)
+    # shares of a curve count on the one that the message means
+    assert (told.entry.s is None, told.exit.s is None) == (not told.line.is_meant, told.line.is_meant)
+    other = found(thread, ENTRY_PX)
+    np.testing.assert_allclose(1e3 * other.exit.point_camera, ENTRY_MM, atol=0.1)
+
+
+def test_ends_that_leave_the_view_or_an_instrument_hides_or_that_face_no_other_are_no_bite():
+    none = "no place is seen at which the thread passes through tissue"
+    shift = np.array((-EXIT_MM[0] - 37.9, 0, 0))
+    gone = [straight(a + shift, b + shift) for a, b in ((FREE_MM, EXIT_MM), (ENTRY_MM, FAR_MM))]
+    assert none in refused(apart(*gone), EXIT_PX)
+    hidden = straight(ENTRY_MM, FAR_MM, ends_hidden=np.array([True, False]))
+    assert none in refused(apart(TAIL, hidden), EXIT_PX)
+    far = straight(ENTRY_MM + np.array((12, 0, 0)), FAR_MM + np.array((12, 0, 0)))
+    assert none in refused(apart(TAIL, far), EXIT_PX)
+    beside = straight(EXIT_MM + np.array((0, 3, 0)), EXIT_MM + np.array((-20, 10, 0)))
+    three = dataclasses.replace(STANDING, strands=(TAIL.as_strand, beside.as_strand))
+    assert np.linalg.norm(1e3 * found(three, EXIT_PX).entry.point_camera - EXIT_MM - (0, 3, 0)) < 0.1
+
+
+def test_a_tail_is_measured_while_what_is_pulled_is_lost_and_nothing_is_where_both_are():
+    were = {"exit_camera": EXIT_MM / 1e3, "entry_camera": ENTRY_MM / 1e3}
+    lost = dataclasses.replace(bench.failed(), strands=(TAIL.as_strand,))
+    told = found(lost, **were)
+    assert (told.standing, told.tail.length_m) == (None, pytest.approx(1e-3 * np.hypot(15, 18)))
+    assert "there is no thread" in refused(bench.failed(), **were)
+
+
+def test_a_tail_that_seems_shorter_than_the_jaws_can_have_made_it_is_only_a_part_of_it():
+    were = {"exit_camera": EXIT_MM / 1e3, "entry_camera": ENTRY_MM / 1e3}
+    assert "only 23.4 mm are seen" in refused(apart(TAIL, STANDING), **were, shortest_m=0.03)
+    assert found(apart(TAIL, STANDING), **were, shortest_m=0.023).tail.length_m > 0.023
 
 
 def test_an_end_is_seen_or_hidden_or_out_of_view_or_may_lead_on():

@@ -1,0 +1,53 @@
+"""Other threads in view that look like the one that is meant, each reconstructed by itself, from the frame alone.
+
+A thread that passes through tissue is several threads to a camera, and nobody but whoever asks for a pull knows that
+they are one. A strand of it becomes shorter or longer from frame to frame and slides along itself, so that no frame
+tells the next one where it is.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.spatial import cKDTree
+
+from agents.reconstruction.refined.crossings import CANDIDATE_PX, STRANGE_WIDTHS
+from agents.reconstruction.refined.method import reconstruct_refined
+from schemas.messages import Centrelines, Status, ThreadObservations, ThreadReconstruction
+
+Pair = tuple[Centrelines, Centrelines]
+
+
+def with_strands(thread: ThreadReconstruction, observations: ThreadObservations) -> ThreadReconstruction:
+    """The same thread with the curves of the others; those that failed are left out.
+
+    They are the strands of the observations, and what of their centrelines turned out to be no part of this thread.
+    """
+    apart = [(strand.centrelines_left, strand.centrelines_right) for strand in observations.strands]
+    mine = observations.centrelines_left, observations.centrelines_right
+    left = [(_along(mine[0], other.left_px), _along(mine[1], other.right_px)) for other in thread.other_threads]
+    both = [lines for lines in (*apart, *left) if len(lines[0].piece) and len(lines[1].piece)]
+    made = [reconstruct_refined(_alone(observations, lines)) for lines in both]
+    return replace(thread, strands=tuple(each.as_strand for each in made if each.status is Status.OK))
+
+
+def _alone(observations: ThreadObservations, lines: Pair) -> ThreadObservations:
+    """Observations of these lines as if they were those of the thread that is meant."""
+    left, right = lines
+    none = {"trail_left": None, "trail_right": None, "candidates": (), "prompt_px": None, "strands": ()}
+    return replace(observations, centrelines_left=left, centrelines_right=right, **none)
+
+
+def _along(lines: Centrelines, other_px: Float64[np.ndarray, "n 2"]) -> Centrelines:
+    """The pieces that lie along another thread for the most part."""
+    if not len(other_px) or not len(lines.piece):
+        return _only(lines, np.zeros(len(lines.piece), bool))
+    reach_px = CANDIDATE_PX + STRANGE_WIDTHS * float(np.median(lines.width_px))
+    near = np.asarray(cKDTree(other_px).query(lines.point_px)[0]) <= reach_px
+    number = np.cumsum(np.diff(lines.piece, prepend=lines.piece[0]) > 0)
+    return _only(lines, (np.bincount(number, near) > 0.5 * np.bincount(number))[number])
+
+
+def _only(lines: Centrelines, kept: Bool[np.ndarray, "n"]) -> Centrelines:
+    number = np.cumsum(np.diff(lines.piece[kept], prepend=-1) > 0) - 1
+    return Centrelines(lines.point_px[kept], number, lines.width_px[kept], lines.deviation_px[kept])
