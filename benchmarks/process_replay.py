@@ -10,8 +10,9 @@ from typing import Annotated
 import tyro
 
 from agents.cli.recordings.options import Recompute
-from agents.cli.recordings.recompute import UnusableError, replayed
+from agents.cli.recordings.recompute import replayed
 from benchmarks.tables import CONSOLE, Goal, Row, print_goals, print_rows, write_json
+from shared.terminal import UsageError
 
 CHAINS = ("perception", "reconstruction", "planner", "perception,reconstruction,planner")
 MOST_TIMES = 1.1
@@ -34,7 +35,7 @@ def main() -> None:
         for chain in CHAINS:
             try:
                 rows.append(_row(path, chain))
-            except UnusableError as error:
+            except UsageError as error:
                 CONSOLE.print(f"{path} through {chain}: {error}")
     print_rows("replays", rows)
     whole = [row for row in rows if row["chain"] == CHAINS[-1]]

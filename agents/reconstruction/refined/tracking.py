@@ -158,7 +158,7 @@ def _anew(observations: ThreadObservations, before: ThreadTrack | None) -> Threa
         alone = _alone(observations, before)
         track = _track(alone.fit, observations, alone.reverse)
         return seen_enough(
-            reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse, alone.course, track)
+            reconstruction(observations, METHOD, alone.fit, alone.regions, alone.reverse, alone.course, track)
         )
     except NoCurveError as error:
         return _lost(observations, str(error), before)

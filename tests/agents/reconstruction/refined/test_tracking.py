@@ -219,7 +219,7 @@ def test_a_thread_that_may_run_through_tissue_is_as_long_as_it_is_seen_to_be(ste
     for number in range(12):
         shown = 0.7 + step * number
         last = track_refined(seen(shown=((0.0, shown),), number=number), last, runs=True)
-        assert last.track.step is STARTED
+        assert last.track is not None and last.track.step is STARTED
         assert off_mm(last, 1.0, winding(np.array([shown]))[0]) < 0.3
         assert not len(last.unseen)
 
