@@ -13,6 +13,7 @@ from scipy.linalg import solve_banded
 from scipy.spatial import cKDTree
 
 from schemas.messages import RectifiedStereo
+from shared.rendering.centreline import Thread
 from shared.rendering.surface import Surface
 from shared.rendering.thread_shapes import thread_on
 from shared.splines import evaluate
@@ -112,6 +113,12 @@ class Strand:
     dye: str
 
 
+def strand_of(thread: Thread, dye: str) -> Strand:
+    """A thread of the light renderer's shapes as this renderer draws it."""
+    s = np.linspace(0.0, 1.0, FINE)
+    return Strand(curve_through(evaluate(thread.knots, thread.control_points, thread.degree, s)), thread.radius_mm, dye)
+
+
 def drawn_strand(
     camera: RectifiedStereo, surface: Surface, config: str, seed: int, radius_mm: float, dye: str
 ) -> Strand:
@@ -120,8 +127,7 @@ def drawn_strand(
     Raises:
         ShapeError: where the camera sees too little for it.
     """
-    thread, s = thread_on(camera, surface, config, seed, radius_mm), np.linspace(0.0, 1.0, FINE)
-    return Strand(curve_through(evaluate(thread.knots, thread.control_points, thread.degree, s)), thread.radius_mm, dye)
+    return strand_of(thread_on(camera, surface, config, seed, radius_mm), dye)
 
 
 def laid_over(strand: Strand, below: list[Strand]) -> Strand:
