@@ -18,7 +18,6 @@ def bars(axis):
 
 
 BARS = bars(1)
-DARK = BARS[..., 0] < 0.1
 
 
 def coloured(light, **effects):
