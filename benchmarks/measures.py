@@ -77,7 +77,7 @@ def against_truth(
     row: Row = {
         "mean": apart.mean,
         "frechet": apart.frechet,
-        "mean seen": mean_where(curve, truth, np.asarray(true.visible.all(axis=1))),
+        "mean seen": mean_where(curve, truth, true.visible[:, 0] & true.visible[:, 1]),
         **topology(curve, truth, curve_px, truth_px),
     }
     if len(thread.posterior_s):

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from agents.camera.sources import Pair
 from schemas.messages import RectifiedStereo, SimulatorState, StereoCalibration
 from shared.calibration.uncertainty import ERRORS
 from shared.camera import camera_matrix
@@ -27,14 +28,6 @@ SHIFT_RIGHT = 1_000_003
 
 
 @dataclass(frozen=True)
-class ScenePair:
-    """A rendered stereo pair, blue first."""
-
-    left_bgr: UInt8[np.ndarray, "h w 3"]
-    right_bgr: UInt8[np.ndarray, "h w 3"]
-
-
-@dataclass(frozen=True)
 class _Tissue:
     """A backdrop and what it was made from."""
 
@@ -45,12 +38,11 @@ class _Tissue:
 
 @dataclass(frozen=True)
 class _Clean:
-    """A pair without noise, blurred as the lens does, the deviation of its noise, and the state it shows."""
+    """Images without noise, blurred as the lens does, the deviations of their noise, and the state they show."""
 
     state: SimulatorState
-    pair: ScenePair
-    deviation_left: Float32[np.ndarray, "h w 3"]
-    deviation_right: Float32[np.ndarray, "h w 3"]
+    images: Pair
+    deviations: tuple[Float32[np.ndarray, "h w 3"], ...]
 
 
 class SceneSource:
@@ -61,7 +53,7 @@ class SceneSource:
         self._tissue: _Tissue | None = None
         self._clean: _Clean | None = None
 
-    def render(self, state: SimulatorState, frame: int) -> ScenePair:
+    def render(self, state: SimulatorState, frame: int) -> Pair:
         """What the cameras see of a state in the frame of that number; the first of a new tissue takes a second.
 
         Raises:
@@ -69,16 +61,14 @@ class SceneSource:
         """
         tissue = self._tissue_of(state)
         if self._clean is None or not _looks_alike(self._clean.state, state):
-            pair = self._without_noise(state, tissue)
-            deviations = (noise_deviation(image, self._sensor) for image in (pair.left_bgr, pair.right_bgr))
-            self._clean = _Clean(state, pair, *deviations)
-        clean = self._clean
-        shape = clean.pair.left_bgr.shape[:2]
-        left, right = (_window(tissue.grain, shape, number) for number in (2 * frame, 2 * frame + SHIFT_RIGHT))
-        return ScenePair(
-            with_noise(clean.pair.left_bgr, clean.deviation_left, left),
-            with_noise(clean.pair.right_bgr, clean.deviation_right, right),
+            images = self._without_noise(state, tissue)
+            self._clean = _Clean(state, images, tuple(noise_deviation(image, self._sensor) for image in images))
+        clean, numbers = self._clean, (2 * frame, 2 * frame + SHIFT_RIGHT)
+        left, right = (
+            with_noise(image, deviation, _window(tissue.grain, image.shape[:2], number))
+            for image, deviation, number in zip(clean.images, clean.deviations, numbers, strict=True)
         )
+        return left, right
 
     def _tissue_of(self, state: SimulatorState) -> _Tissue:
         if state.colour not in COLOURS:
@@ -91,11 +81,11 @@ class SceneSource:
             self._clean = None
         return self._tissue
 
-    def _without_noise(self, state: SimulatorState, tissue: _Tissue) -> ScenePair:
+    def _without_noise(self, state: SimulatorState, tissue: _Tissue) -> Pair:
         control_points = state.control_points_camera / METRES_PER_MM
         thread = Thread(state.knots, control_points, state.radius_m / METRES_PER_MM)
         views = render_thread(tissue.made_from[0], thread, state.colour, tissue.backdrop)
-        return ScenePair(*(_blurred(view.bgr, self._sensor) for view in views))
+        return _blurred(views[0].bgr, self._sensor), _blurred(views[1].bgr, self._sensor)
 
 
 def camera_in_mm(camera: RectifiedStereo) -> RectifiedStereo:

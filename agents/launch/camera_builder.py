@@ -5,10 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agents.camera.agent import Camera, CameraConfig, SceneCamera
-from agents.camera.sources import ImageSource, Pair, PipeSource, Source, SourceError
+from agents.camera.sources import ImageSource, PipeSource, Source, SourceError
 from agents.camera.video import VideoSource
 from agents.configuration.rig import CameraSection
-from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCalibration
+from schemas.messages import ImageEncoding, Severity, StereoCalibration
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
 from shared.runtime.agent import Agent
 from shared.runtime.session import SessionSettings
@@ -32,13 +32,7 @@ def built_camera(section: CameraSection, reached: SessionSettings) -> Agent:
         # of all sources this one alone needs what draws threads
         from agents.camera.scene_source import SceneSource, calibration_of
 
-        scene = SceneSource()
-
-        def render(state: SimulatorState, frame: int) -> Pair:
-            pair = scene.render(state, frame)
-            return pair.left_bgr, pair.right_bgr
-
-        return SceneCamera(render, lambda state: calibration_of(state.camera), config)
+        return SceneCamera(SceneSource().render, lambda state: calibration_of(state.camera), config)
     source, size, own = _opened(section, reached)
     try:
         path = section.calibration or Path()

@@ -15,10 +15,9 @@ from jaxtyping import Float64
 
 from schemas.messages import RectifiedStereo, RobotState
 from schemas.topics import ROBOT_STATE
-from shared.kinematics.psm import FINGER_M
+from shared.kinematics.psm import FINGER_M, WRIST_M, shaft_and_pin
 from shared.rigid_transforms import exp_se3, inverse, log_se3
 
-WRIST_M = 0.0091
 SHAFT, WRIST, FINGER = range(3)
 
 
@@ -52,13 +51,6 @@ class Tube:
         R = T[:3, :3]
         places = self.places @ R.T + T[:3, 3]
         return Tube(self.part, places, self.wide, self.thick, R @ self.wide_way, R @ self.thick_way)
-
-
-def shaft_and_pin(T_base_tool: Float64[np.ndarray, "4 4"]) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """The shaft's end and the jaw's pin in the base's frame."""
-    pin, axis = T_base_tool[:3, 3], -T_base_tool[:3, 0]
-    x = pin - (pin @ axis) * axis
-    return pin - WRIST_M * x / np.linalg.norm(x), pin
 
 
 def tubes(

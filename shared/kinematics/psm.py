@@ -37,6 +37,8 @@ JOINT_NAMES = ("yaw", "pitch", "insertion", "roll", "wrist pitch", "wrist yaw")
 
 FINGER_M = 0.0102
 """From the pin to the tip of a finger."""
+WRIST_M = 0.0091
+"""From the shaft's end to the pin."""
 
 
 def finger_tips(jaw_rad: float) -> Float64[np.ndarray, "2 3"]:
@@ -166,6 +168,13 @@ def inverse(T_base_tool: Float64[np.ndarray, "*batch 4 4"], psm: Psm = LARGE_NEE
     folded = (pose == Problem.NONE) & np.isnan(joints).any(axis=-1)
     problem = np.where(pose == Problem.NONE, joint_problem(joints, psm), pose)
     return Solution(joints, np.where(folded, Problem.WRIST_FOLDED, problem))
+
+
+def shaft_and_pin(T_base_tool: Float64[np.ndarray, "4 4"]) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """The Large Needle Driver's end of the shaft, and the jaw's pin, in the base's frame."""
+    pin, axis = T_base_tool[:3, 3], -T_base_tool[:3, 0]
+    x = pin - (pin @ axis) * axis
+    return pin - WRIST_M * x / np.linalg.norm(x), pin
 
 
 def joint_problem(

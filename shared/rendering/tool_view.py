@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from schemas.messages import RectifiedStereo
+from shared.kinematics.psm import shaft_and_pin
 from shared.rendering.path_traced.solids import METALS, Solid, loft
 
 FINE = 2
@@ -74,13 +75,6 @@ def solids_of(
             loft(centres, tool.finger_half_width * taper, 0.5 * tool.finger_thickness * taper, x_tool, "steel", 0.9)
         )
     return parts
-
-
-def shaft_and_pin(T_base_tool: Float64[np.ndarray, "4 4"]) -> tuple[np.ndarray, np.ndarray]:
-    """The shaft's end and the pin of the jaw in the base's frame, metres (derived in shared/kinematics/psm.py)."""
-    pin, axis = T_base_tool[:3, 3], -T_base_tool[:3, 0]
-    x = pin - (pin @ axis) * axis
-    return pin - 0.0091 * x / np.linalg.norm(x), pin
 
 
 def draw_solids(

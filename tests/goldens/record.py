@@ -50,17 +50,11 @@ RIG_CONFIG = RigConfig(
 
 def session(scene, seconds, rate_hz=5.0, jpeg_quality=75):
     """Everything that was published; frames at so many a second."""
-    source = SceneSource()
-
-    def rendered(state, frame):
-        pair = source.render(state, frame)
-        return pair.left_bgr, pair.right_bgr
-
     config = CameraConfig(rate_hz=rate_hz, jpeg_quality=jpeg_quality)
     lockstep = Lockstep(
         Simulator(scene),
         RobotBridge(RobotBridgeConfig(tick_hz=10.0), SimulatedPsm()),
-        SceneCamera(rendered, lambda state: calibration_of(state.camera), config),
+        SceneCamera(SceneSource().render, lambda state: calibration_of(state.camera), config),
         *(build(RIG_CONFIG, kind, "main") for kind in ("perception", "reconstruction", "planner")),
         rig=RIG,
     )

@@ -28,13 +28,7 @@ SMALL = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5e-3, 1.0)
 
 
 def scene_camera():
-    scene = SceneSource()
-
-    def render(state, frame):
-        pair = scene.render(state, frame)
-        return pair.left_bgr, pair.right_bgr
-
-    return SceneCamera(render, lambda state: calibration_of(state.camera), CameraConfig(rate_hz=10.0))
+    return SceneCamera(SceneSource().render, lambda state: calibration_of(state.camera), CameraConfig(rate_hz=10.0))
 
 
 def of(entries, topic):

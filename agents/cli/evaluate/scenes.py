@@ -148,8 +148,7 @@ def light_scenery(protocol: Protocol, laid: Laid) -> Scenery:
         hiding = _over(state, simulated, rng) if laid.config == "occlusion" else []
         if laid.config == "occlusion" and not hiding:
             continue
-        pair = SceneSource().render(state, 0)
-        images = _behind((pair.left_bgr, pair.right_bgr), state, hiding)
+        images = _behind(SceneSource().render(state, 0), state, hiding)
         return Scenery(simulated, images, calibration_of(state.camera))
     raise SceneError(f"no {laid.name} of this seed fits into the view; use another seed")
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shared.rendering.path_traced.camera_effects import Effects, developed, gain_for, toned
+from shared.rendering.path_traced.camera_effects import Effects, developed, gain_for
 
 PERFECT = Effects(blur_px=0.0, bloom=0.0, veil=0.0, vignette=0.0, shot_noise=0.0, read_noise=0.0, sharpening=0.0)
 HEIGHT, WIDTH = 120, 960
@@ -18,7 +18,6 @@ def bars(axis):
 
 
 BARS = bars(1)
-DARK = BARS[..., 0] < 0.1
 
 
 def coloured(light, **effects):
@@ -61,35 +60,6 @@ def test_of_an_interlaced_image_odd_rows_lie_further_right_by_as_much_as_was_ask
     np.testing.assert_allclose(rows[0, :-8], rows[1, 4:-4], atol=1.0)
     np.testing.assert_array_equal(rows[0], rows[2])
     assert np.abs(rows[0] - rows[1]).max() > 60
-
-
-def test_what_is_too_bright_glows_into_the_dark_beside_it_and_a_veil_or_smoke_lies_over_all():
-    light = flat(0.02)
-    light[50:70, 400:420] = 5.0
-    glow = seen(light, bloom=0.05) - seen(light)
-    assert glow[50:70, 424:428].mean() > 20
-    assert np.abs(glow[:, :100]).max() <= 1
-    clear, veiled, smoky = seen(BARS), seen(BARS, veil=0.3), seen(BARS, smoke=0.7)
-    assert veiled[DARK].mean() > clear[DARK].mean() + 20
-    assert veiled[~DARK].mean() < clear[~DARK].mean()
-    assert np.ptp(smoky.mean(axis=0)) < np.ptp(clear.mean(axis=0))
-    assert smoky[DARK].mean() > clear[DARK].mean() + 8
-    assert np.std(smoky[DARK]) > 3, "wisps, and no even veil"
-
-
-def test_corners_are_darker_by_the_vignette_and_white_balance_turns_the_colour():
-    image = seen(flat(0.3), vignette=0.5)
-    assert image[HEIGHT // 2, WIDTH // 2] == pytest.approx(seen(flat(0.3)).mean(), abs=1)
-    corners = image[[0, 0, -1, -1], [0, -1, 0, -1]]
-    np.testing.assert_allclose(corners, 255.0 * toned(np.full(4, 0.15, np.float32)), atol=1.5)
-    blue, green, red = coloured(flat(0.3), white_balance=(1.2, 1.0, 0.8)).mean(axis=(0, 1))
-    assert blue < green - 5 < green + 5 < red
-
-
-def test_a_quality_is_that_of_jpeg_and_none_leaves_every_level():
-    light = np.random.default_rng(1).uniform(0.0, 0.6, (HEIGHT, WIDTH, 3)).astype(np.float32)
-    poor, good, all_of_it = (np.abs(coloured(light, jpeg_quality=q) - coloured(light)).mean() for q in (50, 95, 0))
-    assert all_of_it == 0 < 1.0 < good < poor
 
 
 def test_noise_is_read_noise_in_the_dark_and_grows_with_light_and_exposure_is_that_of_the_middle():
