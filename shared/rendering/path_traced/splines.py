@@ -13,6 +13,7 @@ from scipy.linalg import solve_banded
 from scipy.spatial import cKDTree
 
 from schemas.messages import RectifiedStereo
+from shared.rendering.centreline import Thread
 from shared.rendering.surface import Surface
 from shared.rendering.thread_shapes import thread_on
 from shared.splines import evaluate
