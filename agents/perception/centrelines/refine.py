@@ -146,7 +146,7 @@ def by_learning(
     limit = 0.5 + 0.25 * width
     # beside a cut the profile also holds the strand that is crossed
     apart = np.clip(_to_cuts(curves) / (FROM_CUT_WIDTHS * usual) - 0.5, 0, 1)
-    return _moved(curves, normal, apart * np.clip(offset, -limit, limit)), _unless_open(deviation, edges, usual)
+    return _moved(curves, normal, apart * np.clip(offset, -limit, limit)), _with_open_profiles(deviation, edges, usual)
 
 
 def _moved(curves: Curves, normal: Float64[np.ndarray, "n 2"], shift: Float64[np.ndarray, "n"]) -> Curves:
@@ -157,18 +157,20 @@ def _moved(curves: Curves, normal: Float64[np.ndarray, "n 2"], shift: Float64[np
 def deviation_by_edges(curves: Curves, seen: Evidence) -> Float64[np.ndarray, "n"]:
     """Standard deviation of each point across the thread where the edges in the image tell its middle, in pixels."""
     usual = usual_width_px(seen.width_px, curves.pieces)
-    return _unless_open(SHADING_SHARE * usual, seen, usual)
+    return _with_open_profiles(SHADING_SHARE * usual, seen, usual)
 
 
 def deviation_by_coverage(curves: Curves, seen: Evidence) -> Float64[np.ndarray, "n"]:
     """The same where nothing but anti-aliased coverage tells."""
     usual = usual_width_px(seen.width_px, curves.pieces)
     slope = np.abs(directions(curves.point, curves.pieces, gaussian(2.0))).min(axis=1)
-    return _unless_open(np.hypot(GRADED_PX + PIXEL_SHARE / usual, ROW_PX / (1 + (slope / ROW_SLOPE) ** 2)), seen, usual)
+    return _with_open_profiles(
+        np.hypot(GRADED_PX + PIXEL_SHARE / usual, ROW_PX / (1 + (slope / ROW_SLOPE) ** 2)), seen, usual
+    )
 
 
-def _unless_open(
+def _with_open_profiles(
     deviation: Float64[np.ndarray, "n"], seen: Evidence, usual: Float64[np.ndarray, "n"]
 ) -> Float64[np.ndarray, "n"]:
-    """Half of the width more where the thread fills its profile to the end, as where strands touch."""
+    """With half of the width where the thread fills its profile to the end, as where strands touch."""
     return np.hypot(deviation, np.where(seen.open, 0.5 * usual, 0.0))
