@@ -21,7 +21,7 @@ from rich.progress import track
 
 from agents.perception import observe
 from agents.perception.candidates import candidates
-from agents.perception.centrelines import centrelines
+from agents.perception.centrelines import centrelines, glints
 from agents.perception.segmentation import network
 from agents.perception.segmenter_names import NETWORK
 from agents.reconstruction.refined import method
@@ -47,6 +47,7 @@ RULES: dict[str, tuple[Change, ...]] = {
     "what speaks against metal": ((network, "WEIGHTS", WITHOUT_METAL),),
     "threads that are certainly others": ((candidates, "certainly_others", lambda *_: []),),
     "what both eyes' middles err apart": ((observe, "drawn_together", lambda _, lines, **__: lines),),
+    "glints filled": ((centrelines, "without_glints", lambda mask: (mask, glints.depth_of(mask))),),
     "ends sought in the image": ((centrelines, "to_tips", _first),),
     "middles learned": ((centrelines, "by_learning", lambda *_: None),),
     "ends that are covered": ((method, "with_covered_ends", _first),),

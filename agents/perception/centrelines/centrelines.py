@@ -12,18 +12,11 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import Pieces, directions, evenly_spaced, gaussian, local_quadratic, smoothed
+from agents.perception.centrelines.deviation import deviations, of_coverage, of_edges
+from agents.perception.centrelines.glints import mean_depth, without_glints
 from agents.perception.centrelines.profiles import sample
-from agents.perception.centrelines.refine import (
-    Curves,
-    Evidence,
-    by_coverage,
-    by_edges,
-    by_learning,
-    deviation_by_coverage,
-    deviation_by_edges,
-    tangent_sigma,
-)
-from agents.perception.centrelines.skeleton import Paths, depth_of, skeleton_paths
+from agents.perception.centrelines.refine import Curves, Evidence, by_coverage, by_edges, by_learning, tangent_sigma
+from agents.perception.centrelines.skeleton import Paths, skeleton_paths
 from agents.perception.centrelines.tips import to_tips
 from schemas.messages import Centrelines, no_centrelines
 
@@ -97,12 +90,12 @@ def _lines(
         return NO_LINES
     curves, seen = found.curves, found.seen
     if found.graded:
-        deviation = deviation_by_coverage(curves, seen)
+        at_sight = of_coverage(curves, seen)
     elif (learned := by_learning(curves, seen, image, found.width)) is None:
-        deviation = deviation_by_edges(curves, seen)
+        at_sight = of_edges(curves, seen)
     else:
-        curves, deviation = learned
-    lines = Centrelines(curves.point, curves.pieces.number, seen.width_px, deviation)
+        curves, seen, at_sight = learned
+    lines = Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, at_sight))
     if not found.graded:
         # where a mask that says yes or no ends, only the image tells within a pixel
         lines = to_tips(lines, image, curves.loose_start, curves.loose_end)
@@ -113,18 +106,19 @@ def followed(
     image: UInt8[np.ndarray, "h w 3"], coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]
 ) -> Followed | None:
     """Curves along the thread as coverage and edges have it, without what is learned; None where there is none."""
-    depth = depth_of(mask)
-    # over a strip the distance to the nearest pixel beyond its edge averages a quarter of its width, and a half: never
-    # less than the thread's, and up to two pixels more
-    mean_depth = cv2.sumElems(depth)[0] / cv2.countNonZero(mask.view(np.uint8))
-    width = min(WIDEST_PX, max(1.0, 4.0 * mean_depth))
-    curves = _initial(skeleton_paths(mask, depth), width)
+    filled, depth = without_glints(mask)
+    # a glint is thread, in what it covers and in its colour
+    if filled is not mask:
+        coverage = np.where(filled & ~mask, np.float32(255), coverage)
+    # never less than the thread's, and up to two pixels more
+    width = min(WIDEST_PX, max(1.0, 4.0 * mean_depth(depth, filled)))
+    curves = _initial(skeleton_paths(filled, depth), width)
     if len(curves.point) == 0:
         return None
     curves, _ = by_coverage(curves, coverage, width)
     curves = _extended(curves, coverage, width)
     curves, seen = by_coverage(curves, coverage, width)
-    graded = _is_graded(coverage, mask)
+    graded = _is_graded(coverage, filled)
     curves, seen = by_coverage(curves, coverage, width) if graded else by_edges(curves, seen, image, width)
     return Followed(curves, seen, width, graded)
 

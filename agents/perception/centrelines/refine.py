@@ -33,18 +33,12 @@ ALONG_PX = 2.0
 LIGHT_PX = 1.5
 """Standard deviation of the local parabolas that smooth corrected points."""
 LEAST_WIDTH_PX = 0.1
+ASIDE_ALONG_PX, USUAL_ASIDE_PX = 8.0, 0.15
 FROM_CUT_WIDTHS = 2.0
 """From half as far to half as far again the edges give way to what is learned."""
 SEEN_ALONG_PX = 1.5
 """Standard deviation of the average along the thread of every second profile, as the network is shown them: neighbours
 hardly differ."""
-GRADED_PX, PIXEL_SHARE = 0.005, 0.05
-"""Standard deviations of a point by anti-aliased coverage: in any case, and of a pixel over the width, since coverage
-does not say where within its border pixels the thread lies."""
-ROW_PX, ROW_SLOPE = 0.06, 0.05
-"""A thread along the rows or columns meets their borders alike for many pixels, so that the error does not average."""
-SHADING_SHARE = 0.038
-"""Of the width, by edges: shadows and glints shift what looks like one."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +57,12 @@ class Evidence:
 
     Fields:
         width_px: of the thread.
+        aside_px: how far different views of the middle lie apart, to one side or the other.
         open: whether the thread fills its profile to the end.
     """
 
     width_px: Float64[np.ndarray, "n"]
+    aside_px: Float64[np.ndarray, "n"]
     open: Bool[np.ndarray, "n"]
 
 
@@ -75,11 +71,11 @@ def tangent_sigma(width: float) -> float:
     return min(max(0.5 * width, 2.0), 4.0)
 
 
-def _to_cuts(curves: Curves) -> Float64[np.ndarray, "n"]:
-    """How many points lie between each point and where its piece is cut; infinite without that."""
+def to_ends(curves: Curves, loose: bool) -> Float64[np.ndarray, "n"]:
+    """How many points lie between each point and its piece's nearest end of the kind; infinite without one."""
     pieces = curves.pieces
-    start = np.where(curves.loose_start[pieces.number], np.inf, pieces.before)
-    end = np.where(curves.loose_end[pieces.number], np.inf, pieces.after)
+    start = np.where(curves.loose_start[pieces.number] == loose, pieces.before, np.inf)
+    end = np.where(curves.loose_end[pieces.number] == loose, pieces.after, np.inf)
     return np.minimum(start, end)
 
 
@@ -90,7 +86,7 @@ def by_coverage(curves: Curves, coverage: Float32[np.ndarray, "h w"], width: flo
     found = middle(own_strand(sample(coverage, curves.point, normal, at)), at)
     shift = np.clip(found.offset_px, -width / 2, width / 2)
     moved = _moved(curves, normal, shift)
-    return moved, Evidence(np.maximum(found.width_px, LEAST_WIDTH_PX), found.open)
+    return moved, Evidence(np.maximum(found.width_px, LEAST_WIDTH_PX), np.zeros(len(shift)), found.open)
 
 
 def by_edges(
@@ -116,12 +112,12 @@ def by_edges(
     limit = 0.5 + 0.25 * width
     shift = np.clip((near + far) / 2, -limit, limit)
     width_px = np.maximum(far - near, LEAST_WIDTH_PX)
-    return _moved(curves, normal, shift), Evidence(width_px, mask.open)
+    return _moved(curves, normal, shift), Evidence(width_px, shift, mask.open)
 
 
 def by_learning(
     curves: Curves, edges: Evidence, image: UInt8[np.ndarray, "h w 3"], width: float
-) -> tuple[Curves, Float64[np.ndarray, "n"]] | None:
+) -> tuple[Curves, Evidence, Float64[np.ndarray, "n"]] | None:
     """One round: every point to where the network holds the middle to be; and the standard deviation of that.
 
     None over a plain ground, which casts no light on a thread and shows no edges but the thread's: nothing beats those.
@@ -145,32 +141,13 @@ def by_learning(
     offset, deviation = (np.interp(np.arange(len(usual)), some, part) for part in (found.offset_px, found.deviation_px))
     limit = 0.5 + 0.25 * width
     # beside a cut the profile also holds the strand that is crossed
-    apart = np.clip(_to_cuts(curves) / (FROM_CUT_WIDTHS * usual) - 0.5, 0, 1)
-    return _moved(curves, normal, apart * np.clip(offset, -limit, limit)), _with_open_profiles(deviation, edges, usual)
+    apart = np.clip(to_ends(curves, loose=False) / (FROM_CUT_WIDTHS * usual) - 0.5, 0, 1)
+    # single profiles of a mask and of an image differ by chance, and the network has seen by how much an image misleads
+    aside = smoothed(edges.aside_px[:, None], pieces, gaussian(ASIDE_ALONG_PX))[:, 0]
+    aside = np.sign(aside) * np.maximum(np.abs(aside) - USUAL_ASIDE_PX, 0)
+    return _moved(curves, normal, apart * np.clip(offset, -limit, limit)), replace(edges, aside_px=aside), deviation
 
 
 def _moved(curves: Curves, normal: Float64[np.ndarray, "n 2"], shift: Float64[np.ndarray, "n"]) -> Curves:
     point = smoothed(curves.point + shift[:, None] * normal, curves.pieces, local_quadratic(LIGHT_PX))
     return replace(curves, point=point)
-
-
-def deviation_by_edges(curves: Curves, seen: Evidence) -> Float64[np.ndarray, "n"]:
-    """Standard deviation of each point across the thread where the edges in the image tell its middle, in pixels."""
-    usual = usual_width_px(seen.width_px, curves.pieces)
-    return _with_open_profiles(SHADING_SHARE * usual, seen, usual)
-
-
-def deviation_by_coverage(curves: Curves, seen: Evidence) -> Float64[np.ndarray, "n"]:
-    """The same where nothing but anti-aliased coverage tells."""
-    usual = usual_width_px(seen.width_px, curves.pieces)
-    slope = np.abs(directions(curves.point, curves.pieces, gaussian(2.0))).min(axis=1)
-    return _with_open_profiles(
-        np.hypot(GRADED_PX + PIXEL_SHARE / usual, ROW_PX / (1 + (slope / ROW_SLOPE) ** 2)), seen, usual
-    )
-
-
-def _with_open_profiles(
-    deviation: Float64[np.ndarray, "n"], seen: Evidence, usual: Float64[np.ndarray, "n"]
-) -> Float64[np.ndarray, "n"]:
-    """With half of the width where the thread fills its profile to the end, as where strands touch."""
-    return np.hypot(deviation, np.where(seen.open, 0.5 * usual, 0.0))

@@ -33,12 +33,6 @@ class Paths:
     loose_end: Bool[np.ndarray, "k"]
 
 
-def depth_of(mask: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Distance of each pixel of a mask to the nearest one outside; beyond the image all is outside."""
-    padded = cv2.copyMakeBorder(mask.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    return np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 3), np.float32)[1:-1, 1:-1]
-
-
 def skeleton_paths(mask: Bool[np.ndarray, "h w"], depth: Float32[np.ndarray, "h w"]) -> Paths:
     """The skeleton of a mask as paths.
 

@@ -17,16 +17,10 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.centrelines.along import STRIDE, Pieces, directions, gaussian
+from agents.perception.centrelines.deviation import deviations, of_edges
 from agents.perception.centrelines.learned import usual_width_px
 from agents.perception.centrelines.profiles import normals
-from agents.perception.centrelines.refine import (
-    Curves,
-    Evidence,
-    by_edges,
-    by_learning,
-    deviation_by_edges,
-    tangent_sigma,
-)
+from agents.perception.centrelines.refine import Curves, Evidence, by_edges, by_learning, tangent_sigma
 from agents.perception.centrelines.tips import to_tips
 from agents.perception.following import capture
 from agents.perception.following.appearance import EVERY, Colours, colours_across, pieces_of, some_of, some_of_observed
@@ -320,15 +314,17 @@ def _refined(
     told: Bool[np.ndarray, "e"],
 ) -> Centrelines | str:
     """The curves in the middle of the thread, out to the tips that the image shows."""
-    mask = Evidence(width_px, np.zeros(len(width_px), bool))
+    nothing = np.zeros(len(width_px))
+    mask = Evidence(width_px, nothing, nothing > 0)
     curves, seen = by_edges(curves, mask, image, width + 1.5)
     alike = (seen.width_px > LEAST_WIDTH * width_px) & (seen.width_px < MOST_WIDTH * width_px)
     if alike.mean() < WIDTH_SHARE:
         return f"{1 - alike.mean():.0%} of the thread is of another width"
     if (learned := by_learning(curves, seen, image, width + 1.5)) is None:
-        deviation = deviation_by_edges(curves, seen)
+        at_sight = of_edges(curves, seen)
     else:
-        curves, deviation = learned
+        curves, seen, at_sight = learned
+    deviation = deviations(curves, seen, at_sight)
     lines = StackedLines(eyes.clipped(curves.point), curves.pieces.number, seen.width_px, deviation)
     return to_tips(lines, image, *np.split(told, 2))
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from agents.perception.centrelines import thread_centrelines
+from agents.perception.centrelines.glints import without_glints
 from agents.perception.centrelines.tips import to_tips
 from schemas.messages import Centrelines
 
@@ -77,9 +78,20 @@ def test_a_crossing_leaves_four_pieces_that_keep_clear_of_it():
     for piece in range(4):
         mine = found.point_px[found.piece == piece]
         assert min(np.median(distance_to(mine, one)), np.median(distance_to(mine, other))) < 0.03
+    # near the crossing a point is worth less
+    gap = np.linalg.norm(found.point_px - [80.0, 60.0], axis=1)
+    assert found.deviation_px[gap < 10].min() > 2 * np.median(found.deviation_px)
 
 
-def test_a_gap_between_two_strands_is_left():
+def test_a_glint_is_filled_and_moves_no_middle_and_a_gap_between_two_strands_is_left():
+    bow = arc((80, 140), 80, -2.3, -0.8)
+    strand = tube(bow, 3.5)
+    mask = np.where(tube(arc((80, 140), 81.5, -1.8, -1.3), 1.0) > 127, 0, strand).astype(np.uint8)
+    assert (mask < strand).any()
+    assert (without_glints(mask > 0)[0] == (strand > 0)).all()
+    found = thread_centrelines(GREY, mask)
+    assert found.piece.max() == 0
+    assert distance_to(bow[10:-10], found.point_px).max() < 1.0
     one = line((15.0, 25.0), (50.0, 58.5), (80.0, 56.0), (110.0, 58.5), (145.0, 25.0))
     found = thread_centrelines(GREY, np.maximum(tube(one, 2.5), tube(one * [1, -1] + [0, 120], 2.5)))
     inside = found.point_px[np.abs(found.point_px[:, 0] - 80) < 4]
@@ -102,6 +114,8 @@ def test_the_edges_in_the_image_correct_a_binary_mask(shift):
     inner = (found.point_px[:, 0] > 30) & (found.point_px[:, 0] < 130)
     assert np.median(distance_to(found.point_px[inner], middle)) < 0.12
     assert np.median(found.width_px[inner]) == pytest.approx(6.0, abs=0.5)
+    # where mask and image disagree, the point is worth less
+    assert np.median(found.deviation_px) > (0.4 if shift else 0.1)
 
 
 @settings(max_examples=40)
