@@ -58,7 +58,7 @@ class Holds:
         raise AssertionError
 
 
-class Coalescing:
+class Throttle:
     """Does what is asked for at once, and what is asked for again soon after once more at the end of EVERY_S."""
 
     def __init__(self, later: Callable[[float, Callable[[], None]], Any]) -> None:

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from agents.operator.arming import POLICIES, Commands
 from agents.operator.drawn import DrawnThread
-from agents.operator.field_seen import FieldSeen
+from agents.operator.field_state import FieldState
 from agents.operator.wire import Click
 from agents.operator.words import Voice
 from schemas.messages import CommandAnswer, Outcome
@@ -131,7 +131,7 @@ class Choosing:
         goals: as pages show them, by arm; `text` says what is still awaited, or why there is no plan.
     """
 
-    def __init__(self, field: FieldSeen, commands: Commands, voice: Voice) -> None:
+    def __init__(self, field: FieldState, commands: Commands, voice: Voice) -> None:
         self._field, self._commands, self._voice = field, commands, voice
         self.goals: dict[str, dict[str, Any]] = {}
 

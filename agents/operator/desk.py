@@ -4,16 +4,16 @@ import asyncio
 import contextlib
 from typing import Any
 
-from agents.operator.arming import Coalescing, Commands, StandingBy
+from agents.operator.arming import Commands, StandingBy, Throttle
 from agents.operator.choosing import Choosing
 from agents.operator.control import Control, HoldNow
-from agents.operator.field_seen import FieldSeen
-from agents.operator.happened import Happened
-from agents.operator.load import Spare
-from agents.operator.rig_panels import Beside
+from agents.operator.event_handler import EventHandler
+from agents.operator.field_state import FieldState
+from agents.operator.load import LoadMonitor
+from agents.operator.rig_panels import RigPanels
 from agents.operator.screen import Screen
 from agents.operator.showing import Showing
-from agents.operator.subscriptions import Heard
+from agents.operator.subscriptions import Subscriptions
 from agents.operator.surroundings import Surroundings
 from agents.operator.wire import (
     Beat,
@@ -63,16 +63,16 @@ class Desk:
         self.control = Control()
         self._voice = Voice(self.screens, around.audit)
         self._commands = Commands(connection, around.audit)
-        self._heard = Heard(connection, self._wake)
-        self.field = FieldSeen(self._heard, around)
-        self._spare = Spare(around.processors)
-        self._showing = Showing(self.field, self.screens, self._commands.aside, self._controls, self._spare)
+        self._subscriptions = Subscriptions(connection, self._wake)
+        self.field = FieldState(self._subscriptions, around)
+        self._load = LoadMonitor(around.processors)
+        self._showing = Showing(self.field, self.screens, self._commands.aside, self._controls, self._load)
         self._choosing = Choosing(self.field, self._commands, self._voice)
-        self._beside = Beside(around, self.field, self._commands, self._voice)
+        self._rig_panels = RigPanels(around, self.field, self._commands, self._voice)
         self._standing_by = StandingBy(self.control, self._commands, self._voice, self.field.newest_challenge)
-        self._holds_of_pages = Coalescing(self._loop.call_later)
-        self._happened = Happened(
-            self.field, self.control, self._choosing, self._beside, self._standing_by, self._voice
+        self._hold_throttle = Throttle(self._loop.call_later)
+        self._events = EventHandler(
+            self.field, self.control, self._choosing, self._rig_panels, self._standing_by, self._voice
         )
         self._turning = asyncio.Event()
         self._has_trials = around.trials is not None
@@ -81,19 +81,25 @@ class Desk:
         """Until cancelled; whoever presses then is let go of."""
         try:
             async with asyncio.TaskGroup() as group:
-                for work in (self._turns(), self._states(), self._beside.run(), self._showing.run(), self._resting()):
+                for work in (
+                    self._turns(),
+                    self._states(),
+                    self._rig_panels.run(),
+                    self._showing.run(),
+                    self._resting(),
+                ):
                     group.create_task(work)
         finally:
             for screen in list(self.control.screens):
                 self._standing_by.follow(self.control.leave(screen, "the page's server ends"))
             await self._standing_by.finish(ENDS_S)
             self._commands.close()
-            self._heard.rest(unless=lambda: False)
+            self._subscriptions.rest(unless=lambda: False)
 
     def join(self, screen: Screen) -> None:
         """A page has come."""
         self.screens[screen.name] = screen
-        self._heard.attend()
+        self._subscriptions.attend()
         for arm in self.field.arms():
             self._commands.prepare(arm)
         self._standing_by.follow(self.control.join(screen.name))
@@ -117,7 +123,7 @@ class Desk:
             case Release(why):
                 follow(self.control.release(name, why))
             case HoldAll():
-                self._holds_of_pages.do(name, lambda: self._hold_all(name))
+                self._hold_throttle.do(name, lambda: self._hold_all(name))
             case Look():
                 screen.look = said
             case Take():
@@ -138,7 +144,7 @@ class Desk:
         if self.control.press is not None and not isinstance(said, Record):
             self._voice.refuse(name, "let go of the button first")
             return
-        start, choosing, beside = self._standing_by.start, self._choosing, self._beside
+        start, choosing, panels = self._standing_by.start, self._choosing, self._rig_panels
         match said:
             case Click() if planning := choosing.clicked(name, said):
                 start(planning)
@@ -147,11 +153,11 @@ class Desk:
             case PromptAt(pixel):
                 start(choosing.prompt(name, pixel))
             case Record(on):
-                start(beside.record(name, on))
+                start(panels.record(name, on))
             case GoOn(arm):
-                start(beside.go_on(name, arm, choosing))
+                start(panels.go_on(name, arm, choosing))
             case Judged(held, cause, note):
-                start(beside.judge(name, held, cause, note))
+                start(panels.judge(name, held, cause, note))
             case _:
                 pass
 
@@ -221,14 +227,14 @@ class Desk:
             await asyncio.sleep(ALONE_S)
             if not self.screens:
                 await asyncio.sleep(ALONE_S)
-                await asyncio.to_thread(self._heard.rest, lambda: bool(self.screens))
+                await asyncio.to_thread(self._subscriptions.rest, lambda: bool(self.screens))
 
     def _shared(self) -> dict[str, Any]:
         control, press, field = self.control, self.control.press, self.field
         pressed = press and {"screen": press.screen, "arm": press.arm, "stage": press.stage.value}
         return {
             "rig": self._rig,
-            "full": self._spare.full,
+            "full": self._load.full,
             "controller": control.controller,
             "asking": control.asking,
             "screens": list(self.screens),
@@ -239,9 +245,9 @@ class Desk:
             "done": field.done,
             "judgements": field.judgements,
             "checks": field.checks,
-            "to_judge": bool(self._beside.finished) and self._has_trials,
+            "to_judge": bool(self._rig_panels.finished) and self._has_trials,
             "lines": self._voice.lines,
-            **self._beside.told,
+            **self._rig_panels.told,
         }
 
     def _own(self, screen: Screen) -> dict[str, Any]:
@@ -263,6 +269,6 @@ class Desk:
             self._turn()
             return
         self._showing.woken(topic)
-        for _, message in self._heard.events():
-            self._happened.take(message)
+        for _, message in self._subscriptions.events():
+            self._events.take(message)
             self._voice.changed.set()

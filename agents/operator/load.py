@@ -33,7 +33,7 @@ def processors() -> Processors | None:
     return Processors(sum(ticks[IDLE]), sum(ticks)) if name == "cpu" else None
 
 
-class Spare:
+class LoadMonitor:
     """Looks from time to time.
 
     Fields:

@@ -6,7 +6,7 @@ from typing import Any
 
 from agents.operator.arming import Commands
 from agents.operator.choosing import Choosing
-from agents.operator.field_seen import FieldSeen
+from agents.operator.field_state import FieldState
 from agents.operator.surroundings import Surroundings
 from agents.operator.words import Voice
 
@@ -21,7 +21,7 @@ def left_to_judge(finished: Finished, arm: str, goal_id: str) -> Finished:
     return {a: (plan, took_s) for a, (plan, took_s) in finished.items() if a != arm or plan["goal_id"] == goal_id}
 
 
-class Beside:
+class RigPanels:
     """Asks from time to time, and begins and ends what it is told to.
 
     Fields:
@@ -29,7 +29,7 @@ class Beside:
         finished: plan as drawn and duration of what each arm has carried out and nobody has judged yet.
     """
 
-    def __init__(self, around: Surroundings, field: FieldSeen, commands: Commands, voice: Voice) -> None:
+    def __init__(self, around: Surroundings, field: FieldState, commands: Commands, voice: Voice) -> None:
         self._around, self._field, self._commands, self._voice = around, field, commands, voice
         self.told: dict[str, Any] = {"wellbeing": {}, "recording": {}, "trials": {}}
         self.finished: Finished = {}

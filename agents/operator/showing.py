@@ -5,8 +5,8 @@ import contextlib
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from agents.operator.field_seen import FieldSeen
-from agents.operator.load import Spare
+from agents.operator.field_state import FieldState
+from agents.operator.load import LoadMonitor
 from agents.operator.pictures import DRAWN_FULL_S, LEVELS, as_it_came, due, encoded
 from agents.operator.screen import Screen
 from agents.operator.wire import Shown, joined
@@ -24,14 +24,14 @@ class Showing:
 
     def __init__(
         self,
-        field: FieldSeen,
+        field: FieldState,
         screens: dict[str, Screen],
         aside: Aside,
         controls: Callable[[str], bool],
-        spare: Spare,
+        load: LoadMonitor,
     ) -> None:
         self._field, self._screens, self._aside, self._controls = field, screens, aside, controls
-        self._spare, self._frame_came = spare, asyncio.Event()
+        self._load, self._frame_came = load, asyncio.Event()
         self._calibrated = True
 
     def woken(self, topic: Topic) -> None:
@@ -61,7 +61,7 @@ class Showing:
     async def _look_at_host(self) -> None:
         while True:
             await asyncio.sleep(LOOK_S)
-            self._spare.look(monotonic_s())
+            self._load.look(monotonic_s())
 
     async def _show_frames(self) -> None:
         while True:
@@ -82,7 +82,7 @@ class Showing:
         return [
             screen
             for screen in self._screens.values()
-            if screen.ready and due(self._controls(screen.name), now_s - screen.sent_s, self._spare.full)
+            if screen.ready and due(self._controls(screen.name), now_s - screen.sent_s, self._load.full)
         ]
 
     async def _show(self, frame: StereoFrame, waiting: list[Screen]) -> None:
@@ -95,7 +95,7 @@ class Showing:
         with contextlib.suppress(ImageDataError):
             as_they_came = all(as_it_came(image, LEVELS[level], resample) for level in levels)
             jpegs = prepare() if as_they_came else await self._aside(prepare)
-            self._field.take_thread(DRAWN_FULL_S if self._spare.full else 0.0)
+            self._field.take_thread(DRAWN_FULL_S if self._load.full else 0.0)
             self._field.take_states()
             if any(screen.look.space for screen in waiting):
                 self._field.take_surface()

@@ -37,7 +37,7 @@ WAKING = (FRAMES, CALIBRATION, ROBOT_STATE, *EVENTS)
 EVENTS_KEPT = 500
 
 
-class Heard:
+class Subscriptions:
     """Everything that came, until it is taken."""
 
     def __init__(self, connection: Connection, wake: Callable[[Topic], None]) -> None:

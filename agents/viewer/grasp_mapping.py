@@ -275,7 +275,7 @@ class Capture:
 
 
 @dataclass
-class Considered:
+class WeighedCaptures:
     """Remembers the last threads, and which colour each reason has."""
 
     _threads: deque[ThreadReconstruction] = field(default_factory=lambda: deque(maxlen=KEPT))

@@ -112,7 +112,7 @@ class LiveViewer:
         return report_of(self._path, self._showing, self._dropped(), self.notes)
 
     def _show_all(self) -> None:
-        room = Room()
+        room = MachineLoad()
         while (taken := self._backlog.take()) is not None:
             worked_s, took_s = thread_s(), monotonic_s()
             self._showing.show(*taken)
@@ -143,7 +143,7 @@ FULL, ROOMY = 0.6, 0.85
 """Shares of that time that it had a processor: below the one the machine is full, above the other one it has room."""
 
 
-class Room:
+class MachineLoad:
     """Whether a machine has room for whoever only looks on, by how long a thread waits for a processor while it works.
 
     Judges anew after every second of work; before the first one, there is room.

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from agents.viewer import colours
 from agents.viewer.entity import Entity, camera_in_mm, observations_in_mm, reconstruction_in_mm
 from agents.viewer.grasp_mapping import (
-    Considered,
+    WeighedCaptures,
     check_entities,
     execution_entities,
     joint_names,
@@ -156,7 +156,7 @@ class LiveMapping:
         self._before: dict[str, object] = {}
         self._made: dict[str, tuple[object, list[Entity]]] = {}
         self._observed: deque[ThreadObservations] = deque(maxlen=OBSERVED_MOST)
-        self._considered, self._dataflow = Considered(), Dataflow()
+        self._considered, self._dataflow = WeighedCaptures(), Dataflow()
         self._right_eye: RightEye | None = None
         self._to_shown = IN_LINE
 

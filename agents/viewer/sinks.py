@@ -40,7 +40,7 @@ DRAWN = (
 """What is drawn from it is the same, however often it is logged; a line of the log is not."""
 
 
-class Standing:
+class RepeatFilter:
     """Remembers what was last logged of each entity, and when.
 
     What stands is logged again once a second: a viewer that connects late finds no more than its server's memory holds.
@@ -79,7 +79,7 @@ class _Column:
     values: list[np.ndarray] = field(default_factory=list[np.ndarray])
 
 
-class Curves:
+class ScalarBatches:
     """What waits to be sent of each curve; a call costs as much for one number as for ten."""
 
     def __init__(self) -> None:
@@ -143,7 +143,7 @@ class Sink:
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream, self._logged = stream, 0
-        self._curves, self._standing = Curves(), Standing()
+        self._scalars, self._repeats = ScalarBatches(), RepeatFilter()
         stream.set_log_time_enabled(False)
 
     def log(self, moment: Moment, entities: Iterable[Entity]) -> None:
@@ -154,15 +154,15 @@ class Sink:
         else:
             self._stream.set_time("frame", sequence=moment.frame)
         for path, archetypes in entities:
-            if self._standing.stands(path, moment, archetypes):
+            if self._repeats.stands(path, moment, archetypes):
                 continue
             for archetype in archetypes:
                 if isinstance(archetype, rr.Scalars):
-                    self._curves.add(path, moment, archetype)
+                    self._scalars.add(path, moment, archetype)
                 else:
                     self._stream.log(path, archetype, static=isinstance(archetype, STATIC))
-        if self._curves.due:
-            self._curves.send(self._stream)
+        if self._scalars.due:
+            self._scalars.send(self._stream)
         self._logged += 1
         if self._logged % FLUSHED_EVERY == 0:
             # begun, and not waited for
@@ -174,7 +174,7 @@ class Sink:
 
     def close(self) -> None:
         """Write what is under way, and end."""
-        self._curves.send(self._stream)
+        self._scalars.send(self._stream)
         self._stream.flush()
         self._stream.disconnect()
 
@@ -217,7 +217,7 @@ class PartedFile(Sink):
     def _begin_another(self) -> None:
         first = self._paths[0]
         path = first.with_stem(f"{first.stem}_part{len(self._paths) + 1}")
-        self._curves.send(self._stream)
+        self._scalars.send(self._stream)
         self._stream.flush()
         try:
             self._stream.set_sinks(rr.FileSink(path), default_blueprint=self._layout)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.operator.choosing import FOUND_ANEW, Choosing
-from agents.operator.field_seen import FieldSeen, is_followed
+from agents.operator.field_state import FieldState, is_followed
 from agents.operator.surroundings import Surroundings
 from agents.operator.wire import Click
 from agents.operator.words import Voice
@@ -24,7 +24,7 @@ def tracked(frame, step, frames) -> Any:
     return SimpleNamespace(**told | {"track": SimpleNamespace(step=step, frames=frames)})
 
 
-class Heard:
+class Subscriptions:
     """The threads that a test has come."""
 
     def __init__(self):
@@ -51,14 +51,14 @@ class Planner:
 
 @pytest.fixture
 def heard():
-    return Heard()
+    return Subscriptions()
 
 
 @pytest.fixture
 def choosing(heard, monkeypatch):
     """What chooses goals on the thread that was heard, with a planner of the test's."""
     monkeypatch.setattr("agents.operator.choosing.AGAIN_S", 0.0)
-    field = FieldSeen(heard, Surroundings("test", ("psm1",), lambda *_, **__: None))
+    field = FieldState(heard, Surroundings("test", ("psm1",), lambda *_, **__: None))
     field.take_thread(0.0)
     return lambda planner: (Choosing(field, planner, Voice({}, lambda *_, **__: None)), field)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from agents.operator.arming import EVERY_S, TRIED, Coalescing, Holds, StandingBy
+from agents.operator.arming import EVERY_S, TRIED, Holds, StandingBy, Throttle
 from agents.operator.control import Control, Effect, HoldNow, Noted
 from agents.operator.desk import until
 from agents.operator.words import Voice
@@ -59,7 +59,7 @@ def test_a_hold_goes_out_though_many_still_wait_for_their_answers():
 
 def test_of_a_flood_the_first_goes_out_at_once_the_last_is_not_lost_and_another_page_does_not_wait():
     due, done = [], []
-    coalescing = Coalescing(lambda seconds, then: due.append((seconds, then)))
+    coalescing = Throttle(lambda seconds, then: due.append((seconds, then)))
     for i in range(100):
         coalescing.do("screen 1", lambda i=i: done.append(i))
     coalescing.do("screen 2", lambda: done.append("other"))

@@ -1,7 +1,7 @@
 """What the page's server leaves out: what a host has no time for, and what nobody is there to see."""
 
-from agents.operator.load import CALM_S, Processors, Spare, processors
-from agents.operator.subscriptions import SHOWN, Heard
+from agents.operator.load import CALM_S, LoadMonitor, Processors, processors
+from agents.operator.subscriptions import SHOWN, Subscriptions
 from schemas.codec import encode
 from schemas.messages import FrameStamp, Image, ImageEncoding, StereoFrame
 from schemas.topics import FRAMES, key
@@ -17,7 +17,7 @@ class Host:
 
     def __init__(self):
         self._now_s, self._spent = 0.0, Processors(0, 0)
-        self.spare = Spare(lambda: self._spent)
+        self.spare = LoadMonitor(lambda: self._spent)
 
     def after(self, seconds, idle):
         """Whether it is full after so many looks, one a second."""
@@ -48,7 +48,7 @@ def test_processors_are_read_from_what_the_system_tells_and_without_it_no_host_i
     assert processors() is None
     (tmp_path / "stat").write_text("cpu  10 20 30 40 50 60 70 80 90 100\ncpu0 1 2 3\n")
     assert processors() == Processors(90, 360), "what follows the eighth is counted already"
-    host = Spare(lambda: None)
+    host = LoadMonitor(lambda: None)
     host.look(1.0)
     assert not host.full
 
@@ -60,7 +60,7 @@ def test_what_is_shown_is_listened_to_while_somebody_is_there(settings, session,
         return {publisher.matching_status.matching for publisher in publishers}
 
     with connected(settings, 5.0) as connection:
-        heard = Heard(connection, lambda _topic: None)
+        heard = Subscriptions(connection, lambda _topic: None)
         until(lambda: session.info.routers_zid())
         assert are_heard() == {False}
         heard.attend()

@@ -9,7 +9,7 @@ import pytest
 
 from agents.operator.control import Control
 from agents.operator.drawn import BETTER_ELSEWHERE
-from agents.operator.field_seen import FieldSeen
+from agents.operator.field_state import FieldState
 from agents.operator.rig_panels import Finished, left_to_judge
 from agents.operator.surroundings import Surroundings
 from agents.operator.words import Seen, arm_words, event_words, sentence, tool_words
@@ -91,7 +91,7 @@ def test_the_planner_and_the_page_mean_the_same_by_a_capture_that_would_do():
     assert BETTER_ELSEWHERE == policy.BETTER_ELSEWHERE
 
 
-class Heard:
+class Subscriptions:
     """What has come, each once."""
 
     def __init__(self, **come):
@@ -103,12 +103,12 @@ class Heard:
 
 def test_a_clock_that_is_set_back_makes_no_dead_bridge_ready_and_no_old_image_young(monkeypatch):
     wall_ns, now_s = [10**18], [100.0]
-    monkeypatch.setattr("agents.operator.field_seen.now_ns", lambda: wall_ns[0])
-    monkeypatch.setattr("agents.operator.field_seen.monotonic_s", lambda: now_s[0])
+    monkeypatch.setattr("agents.operator.field_state.now_ns", lambda: wall_ns[0])
+    monkeypatch.setattr("agents.operator.field_state.monotonic_s", lambda: now_s[0])
     stamp = FrameStamp(1, wall_ns[0], wall_ns[0], "hand")
     state = RobotState("psm1", 1, RobotMode.IDLE, np.eye(4), np.zeros(6), 0.0, np.eye(4), "")
-    heard: Any = Heard(frames=[SimpleNamespace(stamp=stamp)], states=[state])
-    field = FieldSeen(heard, Surroundings("test", ("psm1",), lambda *_, **__: None))
+    heard: Any = Subscriptions(frames=[SimpleNamespace(stamp=stamp)], states=[state])
+    field = FieldState(heard, Surroundings("test", ("psm1",), lambda *_, **__: None))
     field.take_frame()
     field.take_states()
     assert (field.mode("psm1"), field.seen("psm1").frame_age_s) == ("idle", 0.0)

@@ -12,7 +12,7 @@ from agents.viewer.entity import (
     observations_in_mm,
     reconstruction_in_mm,
 )
-from agents.viewer.live import Room
+from agents.viewer.live import MachineLoad
 from schemas import topics
 from schemas.topics import FRAMES, PLAN, ROBOT_STATE, THREAD
 
@@ -64,7 +64,7 @@ def test_no_more_a_second_are_shown_than_promised_slow_topics_and_events_whole()
 
 
 def test_a_machine_is_full_where_its_processor_is_waited_for_and_a_little_waiting_changes_nothing():
-    room = Room()
+    room = MachineLoad()
 
     def judged(share, seconds):
         """Whether there is room after so many seconds of work, in messages of 10 ms each; how often that changed."""

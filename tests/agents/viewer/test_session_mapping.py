@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from agents.viewer.grasp_mapping import Considered, captures_of, turns_of_z
+from agents.viewer.grasp_mapping import WeighedCaptures, captures_of, turns_of_z
 from agents.viewer.live_mapping import LiveMapping
 from agents.viewer.session_mapping import Dataflow, StageTimes
 from schemas import topics
@@ -24,7 +24,7 @@ def plan(session_messages):
 
 
 def test_captures_stand_on_the_thread_of_their_plan_in_the_colour_of_what_lost_them(plan, scene):
-    considered = Considered()
+    considered = WeighedCaptures()
     considered.saw(scene.reconstruction)
     entities: dict[str, Any] = dict(considered.entities(plan))
     (points,) = entities["world/plan/psm1/considered"]

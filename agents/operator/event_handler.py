@@ -6,8 +6,8 @@ from typing import Any
 from agents.operator.arming import SENDER, StandingBy
 from agents.operator.choosing import Choosing
 from agents.operator.control import Control
-from agents.operator.field_seen import FieldSeen
-from agents.operator.rig_panels import Beside, left_to_judge
+from agents.operator.field_state import FieldState
+from agents.operator.rig_panels import RigPanels, left_to_judge
 from agents.operator.words import Voice, event_words
 from schemas.messages import (
     ExecutionEvent,
@@ -26,28 +26,28 @@ NEWS_S = 10.0
 ENDS = (ExecutionKind.FINISHED, ExecutionKind.HELD, ExecutionKind.REFUSED)
 
 
-class Happened:
+class EventHandler:
     """Takes events in the order in which they came."""
 
     def __init__(
         self,
-        field: FieldSeen,
+        field: FieldState,
         control: Control,
         choosing: Choosing,
-        beside: Beside,
+        panels: RigPanels,
         standing_by: StandingBy,
         voice: Voice,
     ) -> None:
         self._field, self._control, self._choosing = field, control, choosing
-        self._beside, self._standing_by, self._voice = beside, standing_by, voice
+        self._panels, self._standing_by, self._voice = panels, standing_by, voice
 
     def take(self, message: Any) -> None:
         """One message of a topic of events."""
         match message:
             case GraspPlan():
                 if self._field.note_plan(message):
-                    beside = self._beside
-                    beside.finished = left_to_judge(beside.finished, message.arm, message.goal_id)
+                    panels = self._panels
+                    panels.finished = left_to_judge(panels.finished, message.arm, message.goal_id)
                     self._choosing.planned(message.arm, message.goal_id)
                     self._standing_by.follow(self._control.planned(message.arm, message.plan_id))
             case GraspCheck():
@@ -84,4 +84,4 @@ class Happened:
         plan = self._field.plans.get(event.arm)
         if event.kind is ExecutionKind.FINISHED and plan is not None and plan["id"] == event.plan_id:
             began_s = self._standing_by.armed_s.pop(event.arming_id, None)
-            self._beside.finished[event.arm] = plan, None if began_s is None else monotonic_s() - began_s
+            self._panels.finished[event.arm] = plan, None if began_s is None else monotonic_s() - began_s

@@ -15,7 +15,7 @@ from agents.operator.drawn import (
     draw_tool,
 )
 from agents.operator.pictures import Resample
-from agents.operator.subscriptions import Heard
+from agents.operator.subscriptions import Subscriptions
 from agents.operator.surroundings import Surroundings
 from agents.operator.wire import compact
 from agents.operator.words import OUT_OF_ORDER, Seen, arm_words
@@ -43,8 +43,8 @@ OLDEST_S = 60.0
 """Plans from older frames are history that came with the connection, and are not shown."""
 
 
-class FieldSeen:
-    """The newest of everything; filled from `Heard` by one thread at a time.
+class FieldState:
+    """The newest of everything; filled from `Subscriptions` by one thread at a time.
 
     Fields:
         found: how often a thread was found anew, after which s names other places; see `is_followed`.
@@ -52,8 +52,8 @@ class FieldSeen:
         states: the newest of each arm, and when it came, by this host's monotonic clock.
     """
 
-    def __init__(self, heard: Heard, around: Surroundings) -> None:
-        self._heard, self._around = heard, around
+    def __init__(self, subscriptions: Subscriptions, around: Surroundings) -> None:
+        self._subscriptions, self._around = subscriptions, around
         self.frame: StereoFrame | None = None
         self.resample: Resample | None = None
         self.camera: RectifiedStereo | None = None
@@ -79,12 +79,12 @@ class FieldSeen:
 
     def take_calibration(self) -> None:
         """The newest calibration; may take a while."""
-        for calibration in self._heard.newest(CALIBRATION):
+        for calibration in self._subscriptions.newest(CALIBRATION):
             self.resample = self._around.resample(calibration)
 
     def take_frame(self) -> StereoFrame | None:
         """The newest frame."""
-        for frame in self._heard.newest(FRAMES):
+        for frame in self._subscriptions.newest(FRAMES):
             self._came_s["frame"] = monotonic_s()
             self.frame = frame
         return self.frame
@@ -94,7 +94,7 @@ class FieldSeen:
         now_s = monotonic_s()
         if now_s - self._drawn_s < after_s:
             return
-        for thread in self._heard.newest(THREAD):
+        for thread in self._subscriptions.newest(THREAD):
             self.camera, self._drawn_s, self._came_s["thread"] = thread.camera, now_s, now_s
             self.found += not is_followed(self._track, thread)
             self._track = thread
@@ -109,9 +109,9 @@ class FieldSeen:
 
     def take_states(self) -> None:
         """The newest state of each arm."""
-        for state in self._heard.newest(ROBOT_STATE):
+        for state in self._subscriptions.newest(ROBOT_STATE):
             self.states[state.arm] = state, monotonic_s()
-        for correction in self._heard.newest(TOOL):
+        for correction in self._subscriptions.newest(TOOL):
             self.corrections[correction.arm] = correction
 
     def newest_challenge(self, arm: str) -> int:
@@ -139,13 +139,13 @@ class FieldSeen:
 
     def take_surface(self) -> None:
         """The newest surface of the tissue."""
-        for surface in self._heard.newest(SURFACE):
+        for surface in self._subscriptions.newest(SURFACE):
             self.camera = self.camera or surface.camera
             self.surface = surface.stamp.sequence, compact(draw_surface(surface))
 
     def take_observations(self) -> None:
         """What perception saw last, and what it says of its input."""
-        for observations in self._heard.newest(OBSERVATIONS):
+        for observations in self._subscriptions.newest(OBSERVATIONS):
             self.observed = observations.stamp.sequence, compact(draw_observations(observations))
             self.judgements = _judgements(observations)
 
