@@ -20,7 +20,8 @@ from scipy.spatial import cKDTree
 
 from agents.perception.candidates.drawn import SPACING_PX
 from agents.perception.centrelines.along import STRIDE, Pieces
-from agents.perception.centrelines.skeleton import depth_of, skeleton_paths
+from agents.perception.centrelines.glints import depth_of
+from agents.perception.centrelines.skeleton import skeleton_paths
 from agents.perception.following.appearance import pieces_of
 from agents.perception.segmentation.classes import ThreadScore, score_within
 from agents.perception.segmentation.network import FAINTEST, thread_in
