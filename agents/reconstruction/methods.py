@@ -19,9 +19,7 @@ def _refined(observations: ThreadObservations) -> ThreadReconstruction:
 
 
 def _tracked(observations: ThreadObservations, last: ThreadReconstruction | None) -> ThreadReconstruction:
-    # several alike threads may be one that runs through tissue
-    runs = bool(observations.strands) or (last is not None and bool(last.strands))
-    return with_strands(track_refined(observations, last, runs), observations)
+    return with_strands(track_refined(observations, last), observations)
 
 
 METHODS: dict[str, Method] = {PAPER: paper.reconstruct_paper, REFINED: _refined}

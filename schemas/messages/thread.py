@@ -434,7 +434,7 @@ class ThreadCourse:
 
 @dataclass(frozen=True)
 class Strand:
-    """Another thread that looks like the one that is meant, as a curve; its fields are those of a reconstruction.
+    """One of several threads that look alike, as a curve; its fields are those of a reconstruction.
 
     One thread that passes through tissue is several to a camera.
     """
@@ -480,8 +480,8 @@ class ThreadReconstruction:
             thread nor on one of `other_threads`; None where nobody has looked.
         left_over_px: the middle (u, v) of each longer stretch of that; None likewise.
         course: None where the method tells none.
-        strands: the curves of `ThreadObservations.strands`, and of what of its centrelines is no part of this thread;
-            each from the frame alone, and none of those that failed.
+        strands: where several threads in view look alike, the curves of all of them, that of the one that is meant
+            included; each from the frame alone, as long as it is seen to be. None of those that failed.
     A failed reconstruction has a reason and no control points.
     """
 

@@ -88,7 +88,7 @@ def go_on(
     except NoGraspError:
         return None
     here = Situation(strands, arm, config, around)
-    if verdict.stop is PullStop.END_UNSEEN:
+    if verdict.stop is PullStop.END_UNSEEN or (was.grip is None and verdict.stop is None and strands.standing is None):
         return None
     named = f"pull-{plan.goal_id}.{was.segment + 1}"
     pull = _pull(was.tail_m, was.segment + 1, strands, was.grip, verdict.sentence)

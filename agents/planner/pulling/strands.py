@@ -8,6 +8,7 @@ strand the tail alone may be left, which ends where its exit was a frame ago.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from agents.planner.curve import NoGraspError, ThreadCurve, curve_of, pixels
 from agents.planner.needle import NeedleAround
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
-from schemas.messages import SURE, EndSight, Status, StrandEnd, TailLength, ThreadReconstruction
+from schemas.messages import SURE, EndSight, StrandEnd, TailLength, ThreadReconstruction
 from shared.camera import project
 
 SAMPLES = 81
@@ -105,13 +106,16 @@ class _Bite:
 
 
 def lines_of(thread: ThreadReconstruction) -> list[Line]:
-    """All curves of a message, the one that is meant first.
+    """All curves of a message, but for strands that are none of a thread; that of the thread where it has no strands.
 
     Raises:
-        NoGraspError: where there is none, or it is none of a thread.
+        NoGraspError: where there is none.
     """
-    found = [thread, *thread.apart] if thread.status is Status.OK or not thread.strands else [*thread.apart]
-    return [Line(one, curve_of(one), one is thread) for one in found]
+    strands: list[Line] = []
+    for strand in thread.apart:
+        with suppress(NoGraspError):
+            strands.append(Line(strand, curve_of(strand), is_meant=False))
+    return strands or [Line(thread, curve_of(thread), is_meant=True)]
 
 
 def strands_of(

@@ -1,8 +1,8 @@
-"""Other threads in view that look like the one that is meant, each reconstructed by itself, from the frame alone.
+"""Several threads in view that look alike, each reconstructed by itself, from the frame alone.
 
 A thread that passes through tissue is several threads to a camera, and nobody but whoever asks for a pull knows that
-they are one. A strand of it becomes shorter or longer from frame to frame and slides along itself, so that no frame
-tells the next one where it is.
+they are one. A strand of it becomes shorter or longer from frame to frame and slides along itself, where a track keeps
+length and places. So none of these curves goes on from a frame before, that of the thread that is meant included.
 """
 
 from dataclasses import replace
@@ -19,15 +19,17 @@ Pair = tuple[Centrelines, Centrelines]
 
 
 def with_strands(thread: ThreadReconstruction, observations: ThreadObservations) -> ThreadReconstruction:
-    """The same thread with the curves of the others; those that failed are left out.
+    """The same thread with the curves of all strands, where there are several; those that failed are left out.
 
-    They are the strands of the observations, and what of their centrelines turned out to be no part of this thread.
+    They are the one that is meant, those of the observations, and what of their centrelines is no part of this thread.
     """
     apart = [(strand.centrelines_left, strand.centrelines_right) for strand in observations.strands]
     mine = observations.centrelines_left, observations.centrelines_right
     left = [(_along(mine[0], other.left_px), _along(mine[1], other.right_px)) for other in thread.other_threads]
-    both = [lines for lines in (*apart, *left) if len(lines[0].piece) and len(lines[1].piece)]
-    made = [reconstruct_refined(_alone(observations, lines)) for lines in both]
+    others = [lines for lines in (*apart, *left) if len(lines[0].piece) and len(lines[1].piece)]
+    if not others:
+        return thread
+    made = [reconstruct_refined(_alone(observations, lines)) for lines in (mine, *others)]
     return replace(thread, strands=tuple(each.as_strand for each in made if each.status is Status.OK))
 
 

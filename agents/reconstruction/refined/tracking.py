@@ -8,8 +8,7 @@ or a wrong smoothness, that was followed once would otherwise be followed for ev
 The curve keeps its direction and, as thread does not stretch, its length: what is hidden stays part of it, unseen, and
 an end counts only where the length stays. So a place s is the same piece of thread in every frame, as far as images can
 tell: how far a thread slides along itself shows at its ends alone. When a track is begun anew, `material_s` says which
-places its ends are on the scale of the curve before. Of a thread that may run through tissue none of that holds: its
-track begins in each frame, and keeps its direction alone.
+places its ends are on the scale of the curve before.
 """
 
 from dataclasses import dataclass, replace
@@ -74,14 +73,8 @@ class _Alone:
     course: ThreadCourse
 
 
-def track_refined(
-    observations: ThreadObservations, last: ThreadReconstruction | None, runs: bool = False
-) -> ThreadReconstruction:
+def track_refined(observations: ThreadObservations, last: ThreadReconstruction | None) -> ThreadReconstruction:
     """The thread of this frame, with the last reconstruction in mind; without any, that of the frame alone.
-
-    Args:
-        runs: it may go into tissue, or come out of it, so that it is neither as long as it was, nor where it was along
-            itself: the frame alone tells its curve.
 
     Never raises for any valid observations: a failure is a status with its reason, and keeps the track in mind.
     """
@@ -90,8 +83,6 @@ def track_refined(
         before = None
     if observations.status is not Status.OK:
         return _lost(observations, observations.reason, before)
-    if runs:
-        return _anew(observations, before)
     reason = ""
     if before is not None:
         try:
@@ -148,20 +139,6 @@ def _course_along(curve: Curve, alone: _Alone) -> ThreadCourse:
     there = alone.fit.curve.at(at[:: -1 if alone.reverse else 1])
     s = np.maximum.accumulate(_nearest(curve.at(at), there)[1]) / (len(at) - 1)
     return replace(alone.course, joins=np.interp(alone.course.joins, at, s), other=np.interp(alone.course.other, at, s))
-
-
-def _anew(observations: ThreadObservations, before: ThreadTrack | None) -> ThreadReconstruction:
-    """The thread of the frame alone, in the direction that it had."""
-    try:
-        if before is None:
-            need_evidence(observations)
-        alone = _alone(observations, before)
-        track = _track(alone.fit, observations, alone.reverse)
-        return seen_enough(
-            reconstruction(observations, METHOD, alone.fit, alone.regions, alone.reverse, alone.course, track)
-        )
-    except NoCurveError as error:
-        return _lost(observations, str(error), before)
 
 
 def _begun(

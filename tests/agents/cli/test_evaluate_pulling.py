@@ -2,14 +2,15 @@
 
 import json
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from agents.cli.evaluate import pulling
 from agents.cli.evaluate.pulling import bench_of
-from agents.cli.evaluate.pulling_field import PullField
-from agents.cli.evaluate.trials import speed_limits
+from agents.cli.evaluate.pulling_field import Eyes, PullField
+from agents.cli.evaluate.trials import rig_for, speed_limits
 from agents.simulated_trials.look import Look
 from agents.simulated_trials.pulling.driving import ArmState, Measured, Said, Segment, Stepwise, Stop, Task, Waypoint
 from agents.simulated_trials.pulling.protocol import PullCame, PullProtocol, PullTrial, asked_mm
@@ -17,7 +18,8 @@ from agents.simulated_trials.pulling.results import overview, shares
 from agents.simulated_trials.pulling.trial import Bench, pulled
 from agents.simulator.field import MM
 from schemas.messages import Status, TrackStep
-from schemas.topics import THREAD
+from schemas.topics import OBSERVATIONS, THREAD
+from shared.arc_length import length
 from shared.camera import project
 from shared.rigid_transforms import transform
 from shared.splines import evaluate
@@ -190,6 +192,23 @@ def test_a_driver_is_shown_what_reconstruction_makes_of_the_drawn_stitch():
         assert np.percentile(off, 85) < 1.5
         assert look.said[-1].topic is THREAD
     assert looks[1].thread.track is not None and looks[1].thread.track.step is TrackStep.CONTINUED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shorter_mm", [0, 3], ids=["at rest", "by more than an end is followed"])
+def test_both_strands_that_are_seen_apart_are_measured_in_every_frame_as_long_as_they_are_now(shorter_mm):
+    drawn = PullField(EXACT.model_copy(update={"seed": 12}), PullTrial(number=1))
+    eyes, arm, state = Eyes(rig_for("refined")), parked(drawn), drawn.world.state
+    for frame in range(4):
+        tail = state.tail[: len(state.tail) - frame * shorter_mm]
+        drawn.world = SimpleNamespace(state=replace(state, tail=tail))  # pyright: ignore[reportAttributeAccessIssue]
+        look = eyes.look(drawn.images(arm), 0.2 * frame)
+        long_mm = [np.linalg.norm(np.diff(one, axis=0), axis=1).sum() for one in (tail, state.standing)]
+        told_mm = [length(one.knots, one.control_points_camera, one.degree) / MM for one in look.thread.strands]
+        np.testing.assert_allclose(sorted(told_mm), sorted(long_mm), atol=1.0)
+        (observed,) = (said.message for said in look.said if said.topic is OBSERVATIONS)
+        # where nothing moves, nothing is searched for
+        assert shorter_mm or observed.segmented_sequence == 0
 
 
 def test_a_journal_is_taken_up_again_and_results_are_written(suturegrasp, tmp_path, monkeypatch):

@@ -77,7 +77,7 @@ def threaded(
     if parted:
         tail, made = (bench.polyline(*path(corners, 60)[0]) for corners in ([free, exit_mm], standing))
         tail, made = bench.known(tail, *deviations_mm), bench.known(made, *deviations_mm)
-        return dataclasses.replace(made, strands=(tail.as_strand,), stamp=stamp, **changes)
+        return dataclasses.replace(made, strands=(made.as_strand, tail.as_strand), stamp=stamp, **changes)
     points, long_mm = path([free, exit_mm, *standing], 120)
     start, end = tail_mm / long_mm, (tail_mm + BITE_MM) / long_mm
     made = bench.polyline(*points, unseen=[(start, end)], **changes)

@@ -11,7 +11,7 @@ from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import curve_of
 from agents.planner.needle import NeedleAround
-from agents.planner.pulling.segments import begin
+from agents.planner.pulling.segments import begin, go_on
 from agents.planner.pulling.way import Around, jaw_of
 from agents.planner.tissue_clearance import NOTHING_SEEN
 from schemas.messages import (
@@ -222,8 +222,26 @@ def test_what_is_seen_again_in_time_is_pulled_on_and_bounds_hold_for_all_segment
 def test_a_tail_that_lies_beside_the_standing_strand_is_not_grasped_with_it():
     thread = threaded(parted=True)
     assert first(thread=thread).status is Status.OK
-    tail = bench.known(bench.straight(ENTRY_MM + np.array((40, 11, 0)), ENTRY_MM - np.array((6, 0, 0))), 0.1, 0.1, 0.3)
-    assert "another strand" in first(thread=dataclasses.replace(thread, strands=(tail.as_strand,))).reason
+    tail = bench.known(bench.straight(ENTRY_MM + np.array((32, 7, 0)), ENTRY_MM - np.array((6, 0, 0))), 0.1, 0.1, 0.3)
+    assert (
+        "another strand" in first(thread=dataclasses.replace(thread, strands=(thread.as_strand, tail.as_strand))).reason
+    )
+
+
+def test_a_strand_that_is_not_seen_when_it_is_to_be_grasped_anew_is_waited_for():
+    thread = threaded(parted=True)
+    meant, tail = thread.strands
+    let_go = first(thread=thread)
+    let_go = dataclasses.replace(let_go, pull=dataclasses.replace(let_go.pull, grip=None))
+    arm = ArmView(BASE, compose(BASE, psm.forward(np.array([0.0, 0, 0.1, 0, 0, 0]))), lambda T: np.ones(len(T), bool))
+
+    def then(*strands):
+        seen = dataclasses.replace(bench.failed(), strands=strands)
+        return go_on(let_go, seen, arm, PlannerConfig(), Around(NOTHING_SEEN))
+
+    assert then(tail) is None
+    again: Any = then(meant, tail)
+    assert (again.status, again.pull.segment, again.pull.stop) == (Status.OK, 2, None)
 
 
 def test_a_strand_whose_other_side_is_not_seen_is_not_pulled():

@@ -59,7 +59,7 @@ def test_without_a_pixel_the_frame_before_the_needle_or_what_leaves_the_view_tel
 
 def apart(tail, standing, **changes):
     """Both strands as two curves, that of `standing` the one that is meant."""
-    return dataclasses.replace(standing, strands=(tail.as_strand,), **changes)
+    return dataclasses.replace(standing, strands=(standing.as_strand, tail.as_strand), **changes)
 
 
 def straight(*ends, **changes):
@@ -78,8 +78,8 @@ def test_two_curves_whose_ends_face_each_other_are_both_strands_whichever_is_mea
     np.testing.assert_allclose(1e3 * told.entry.point_camera, ENTRY_MM, atol=0.1)
     np.testing.assert_allclose(1e3 * told.tail_points[[0, -1]], [FREE_MM, EXIT_MM], atol=0.1)
     np.testing.assert_allclose(1e3 * told.line.curve.points(np.array(told.standing)), [ENTRY_MM, FAR_MM], atol=0.1)
-    # shares of a curve count on the one that the message means
-    assert (told.entry.s is None, told.exit.s is None) == (not told.line.is_meant, told.line.is_meant)
+    # shares of a strand are none of the message's own curve
+    assert (told.entry.s, told.exit.s, told.free_end.s) == (None, None, None)
     other = found(thread, ENTRY_PX)
     np.testing.assert_allclose(1e3 * other.exit.point_camera, ENTRY_MM, atol=0.1)
 
@@ -94,7 +94,7 @@ def test_ends_that_leave_the_view_or_an_instrument_hides_or_that_face_no_other_a
     far = straight(ENTRY_MM + np.array((12, 0, 0)), FAR_MM + np.array((12, 0, 0)))
     assert none in refused(apart(TAIL, far), EXIT_PX)
     beside = straight(EXIT_MM + np.array((0, 3, 0)), EXIT_MM + np.array((-20, 10, 0)))
-    three = dataclasses.replace(STANDING, strands=(TAIL.as_strand, beside.as_strand))
+    three = dataclasses.replace(STANDING, strands=(STANDING.as_strand, TAIL.as_strand, beside.as_strand))
     assert np.linalg.norm(1e3 * found(three, EXIT_PX).entry.point_camera - EXIT_MM - (0, 3, 0)) < 0.1
 
 
@@ -104,6 +104,9 @@ def test_a_tail_is_measured_while_what_is_pulled_is_lost_and_nothing_is_where_bo
     told = found(lost, **were)
     assert (told.standing, told.tail.length_m) == (None, pytest.approx(1e-3 * np.hypot(15, 18)))
     assert "there is no thread" in refused(bench.failed(), **were)
+    speck = straight(FAR_MM, FAR_MM + np.array((1.9, 0, 0)))
+    three = tuple(one.as_strand for one in (speck, STANDING, TAIL))
+    assert found(dataclasses.replace(STANDING, strands=three), **were).standing
 
 
 def test_a_tail_that_seems_shorter_than_the_jaws_can_have_made_it_is_only_a_part_of_it():

@@ -213,17 +213,6 @@ def test_an_end_that_a_tool_hides_stays_part_of_the_thread():
     assert last.unseen[-1] == pytest.approx((0.67, 1.0), abs=0.06)
 
 
-@pytest.mark.parametrize("step", [0.02, -0.02])
-def test_a_thread_that_may_run_through_tissue_is_as_long_as_it_is_seen_to_be(step):
-    last = None
-    for number in range(12):
-        shown = 0.7 + step * number
-        last = track_refined(seen(shown=((0.0, shown),), number=number), last, runs=True)
-        assert last.track is not None and last.track.step is STARTED
-        assert off_mm(last, 1.0, winding(np.array([shown]))[0]) < 0.3
-        assert not len(last.unseen)
-
-
 def test_more_thread_that_comes_into_view_gets_places_beyond_the_first_ones_until_ten_seconds_are_over():
     first = followed(None, seen(shown=((0.0, 0.6),)))
     more = followed(first, seen(number=1))
