@@ -1,1 +1,1 @@
-"""What the agents have in common: geometry, splines, calibration, the light scene renderer."""
+"""What the agents have in common: geometry, splines, calibration, the runtime, recordings, both scene renderers."""

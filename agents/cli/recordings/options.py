@@ -56,7 +56,7 @@ class Cut:
     output: Annotated[Path, tyro.conf.arg(metavar="PATH")]
     """The shorter one."""
     begin: Annotated[str | None, tyro.conf.arg(name="from", metavar="MOMENT")] = None
-    """Seconds from the start (12.5) or a time of the day (14:32:07)."""
+    """Seconds from the start (12.5) or a time of the day (14:32:07), with its date where it is of another."""
     end: Annotated[str | None, tyro.conf.arg(name="to", metavar="MOMENT")] = None
     """The same."""
     delay: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="ARM=MS")] = ()
@@ -83,7 +83,7 @@ class Replay:
     loop: bool = False
     """Again and again, until stopped."""
     from_: Annotated[str | None, tyro.conf.arg(name="from", metavar="MOMENT")] = None
-    """Where to begin: seconds from the start, or a time of its day (14:30:05)."""
+    """Where to begin: seconds from the start, or a time (14:30:05, of another day with its date)."""
     to: Annotated[str | None, tyro.conf.arg(metavar="MOMENT")] = None
     """Where to end."""
     topics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC ...")] = ()
