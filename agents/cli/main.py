@@ -43,10 +43,8 @@ def main(arguments: list[str] | None = None) -> None:
             flush_output()
     except KeyboardInterrupt:
         status = complain("interrupted", EXIT_INTERRUPTED)
-    except MemoryError:
-        status = complain("the memory does not suffice for images of this size; give smaller ones", EXIT_UNUSABLE)
     except OSError as error:
-        how = "cannot be read" if isinstance(error, FileNotFoundError) else "cannot be read or written"
+        how = "cannot be opened" if isinstance(error, FileNotFoundError) else "cannot be read or written"
         what = f"{error.filename} {how}" if error.filename else "the system refused"
         status = complain(f"{what}: {error.strerror or error}", EXIT_UNUSABLE)
     except Exception as error:

@@ -63,14 +63,19 @@ class ClearWay:
 
 
 def clear_way(
-    choice: Choice, chosen: int, curve: ThreadCurve, arm: ArmView, needle: NeedleAround | None = None
+    choice: Choice,
+    chosen: int,
+    curve: ThreadCurve,
+    arm: ArmView,
+    needle: NeedleAround | None = None,
+    beside: Float64[np.ndarray, "k 3"] | None = None,
 ) -> ClearWay:
     """The chosen capture, or what stands in for it."""
     captures, config = choice.captures, choice.config
     first: ClearWay | None = None
     for capture, way in _candidates(captures, chosen, arm):
         led = waypoints(captures.ways, way, captures.s, capture, captures.goal, config)
-        stands = thread_clearance(curve, led, arm.T_camera_base, config, needle)
+        stands = thread_clearance(curve, led, arm.T_camera_base, config, needle, beside)
         by_way = captures.probability[capture] if captures.by_way is None else captures.by_way[way[0], capture]
         found = ClearWay(capture, way, float(by_way), led, stands)
         if not stands.obstructed:

@@ -2,7 +2,8 @@
 
 Shaft, wrist and fingers are capsules, followed along the way in steps of a millimetre. The thread that runs through the
 jaws cannot be kept clear of, so at each pose the places within `grasp_arc_m` along the thread of where the jaws are do
-not count; all others do, where they were seen to lie before the grasp. So does a needle, where one is known.
+not count; all others do, where they were seen to lie before the grasp. So do a needle and another strand, where one is
+known.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,9 @@ def thread_clearance(
     T_camera_base: Float64[np.ndarray, "4 4"],
     config: PlannerConfig,
     needle: NeedleAround | None = None,
+    beside: Float64[np.ndarray, "k 3"] | None = None,
 ) -> ThreadClearance:
-    """How the instrument stands to the thread, and to a needle, on the way of a plan."""
+    """How the instrument stands to the thread, to a needle and to places of another strand, on the way of a plan."""
     poses, jaw_rad, at_s, phases = _way(waypoints)
     s = np.linspace(0.0, 1.0, POINTS)
     points = curve.points(s)
@@ -49,22 +51,33 @@ def thread_clearance(
             f"{phase.name.lower()}: it may catch there or pull it along"
         )
     stands = ThreadClearance(obstructed, least, points[n], phase, float(s[n]))
-    return stands if obstructed or needle is None else _past_needle(stands, instrument, needle, phases, config)
+    if beside is not None and not stands.obstructed:
+        what = "another strand", "it may catch there or pull it along"
+        stands = _past(stands, instrument, beside, config.thread_radius_m, phases, config, what)
+    if needle is not None and not stands.obstructed:
+        what = "where the needle may be", "it may turn the needle"
+        stands = _past(stands, instrument, needle.points_camera, needle.reach_m, phases, config, what)
+    return stands
 
 
-def _past_needle(
-    stands: ThreadClearance, instrument: Capsules, needle: NeedleAround, phases: list[Phase], config: PlannerConfig
+def _past(
+    stands: ThreadClearance,
+    instrument: Capsules,
+    points: Float64[np.ndarray, "k 3"],
+    reach_m: float | Float64[np.ndarray, "k"],
+    phases: list[Phase],
+    config: PlannerConfig,
+    what: tuple[str, str],
 ) -> ThreadClearance:
-    off = clearances(instrument, needle.points_camera) - needle.reach_m
+    """The same, where the instrument keeps clear of these places; `what` they are, and what may come of it."""
+    off = clearances(instrument, points) - reach_m
     k, n = np.unravel_index(int(np.argmin(off)), off.shape)
     least = float(off[k, n])
     if least >= config.thread_clear_m:
         return stands
     near = f"comes within {MM_PER_M * least:.1f} mm of" if least > 0 else "touches"
-    obstructed = (
-        f"the instrument {near} where the needle may be, in the phase {phases[k].name.lower()}: it may turn the needle"
-    )
-    return replace(stands, obstructed=obstructed, clearance_m=least, place_camera=needle.points_camera[n])
+    obstructed = f"the instrument {near} {what[0]}, in the phase {phases[k].name.lower()}: {what[1]}"
+    return replace(stands, obstructed=obstructed, clearance_m=least, place_camera=points[n])
 
 
 def _way(

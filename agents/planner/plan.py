@@ -53,7 +53,7 @@ def plan_grasp(
         choice = best_choice(places, goal.policy, arm, config, tissue)
     except NoGraspError as error:
         return _rejected(goal, thread, attempt, str(error))
-    return _best(goal, thread, attempt, arm, curve, known, choice, tissue, needle)
+    return _best(goal, thread, attempt, arm, curve, known, choice, tissue, needle, beside)
 
 
 def _best(
@@ -66,6 +66,7 @@ def _best(
     choice: Choice,
     tissue: SeenTissue,
     needle: NeedleAround | None,
+    beside: Float64[np.ndarray, "k 3"] | None,
 ) -> GraspPlan:
     captures, chosen, config = choice.captures, choice.chosen, choice.config
     s, at_goal, probability, against = captures.s, captures.goal, captures.probability, captures.against
@@ -88,9 +89,9 @@ def _best(
             f"and {config.least_probability:.2f} is asked for"
         )
         return _rejected(goal, thread, attempt, reason, s_goal, likely, others)
-    led = clear_way(choice, chosen, curve, arm, needle)
+    led = clear_way(choice, chosen, curve, arm, needle, beside)
     if known.model != PAPER:
-        led = with_aside(led, s_goal, curve, arm, config, tissue, needle)
+        led = with_aside(led, s_goal, curve, arm, config, tissue, needle, beside)
     return GraspPlan(
         plan_id=plan_id(goal, attempt),
         arm=goal.arm,

@@ -39,6 +39,7 @@ def with_aside(
     config: PlannerConfig,
     tissue: SeenTissue,
     needle: NeedleAround | None = None,
+    beside: Float64[np.ndarray, "k 3"] | None = None,
 ) -> ClearWay:
     """The same way, and sideways where that is asked for and possible.
 
@@ -54,7 +55,7 @@ def with_aside(
     sides = [_aside(led, grasped, back, side * config.aside_m * axes[1]) for side in (1.0, -1.0)]
     ends = [np.stack([waypoint.T_camera_tool for waypoint in side[-2:]]) for side in sides]
     found = [
-        replace(led, waypoints=side, thread=thread_clearance(curve, side, arm.T_camera_base, config, needle))
+        replace(led, waypoints=side, thread=thread_clearance(curve, side, arm.T_camera_base, config, needle, beside))
         for side, end in zip(sides, ends, strict=True)
         if np.all(arm.reachable(end)) and _before_tissue(end, tissue, config)
     ]

@@ -25,13 +25,17 @@ class Rate:
 
     def count(self, now_s: float) -> None:
         """Count an event at that time."""
+        self._forget(now_s)
         self.times.append(now_s)
 
     def hz(self, now_s: float) -> float:
         """The rate over the window that ends now."""
+        self._forget(now_s)
+        return len(self.times) / WINDOW_S
+
+    def _forget(self, now_s: float) -> None:
         while self.times and self.times[0] < now_s - WINDOW_S:
             self.times.popleft()
-        return len(self.times) / WINDOW_S
 
 
 @dataclass

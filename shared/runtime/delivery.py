@@ -7,6 +7,7 @@ one of 2.8 MB; whoever shares no memory with this process gets the same bytes by
 
 import functools
 import logging
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +20,7 @@ from shared.runtime.attachment import encoding_of, other_key, why_refused
 from shared.runtime.lossless import LosslessSubscriber
 
 MISS_HEARTBEAT_S = 0.5
+HANDED_OVER_S = 2.0
 _PRIORITIES = {
     Priority.REAL_TIME: zenoh.Priority.REAL_TIME,
     Priority.DATA_HIGH: zenoh.Priority.DATA_HIGH,
@@ -87,8 +89,10 @@ def subscribe(
 ) -> Any:
     """Have every sample of a topic that is not a command handed over; keep what is returned.
 
-    All are called from a thread that Zenoh keeps for this subscriber, and must only put things away. `missed` is told
-    of lost events; `refused` is told the key under which a message came that names another one, and that one.
+    All are called from a thread that Zenoh keeps for this subscriber, and must only put things away: behind one that
+    waits, 256 messages are kept, and then everything that comes to the session, commands included, waits as well.
+    `missed` is told of lost events; `refused` is told the key under which a message came that names another one, and
+    that one. Once it is undeclared, what had come has been handed over.
     """
     if topic.delivery is not Delivery.LATEST:
         is_event = topic.delivery is Delivery.EVENT
@@ -101,7 +105,21 @@ def subscribe(
         else:
             receive(sample)
 
-    return session.declare_subscriber(key, hand_over)
+    return _Newest(session, key, hand_over)
+
+
+class _Newest:
+    """A subscriber whose `undeclare` ends once all that came was handed over."""
+
+    def __init__(self, session: zenoh.Session, key: str, hand_over: Callable[[zenoh.Sample], None]) -> None:
+        self._handed_over = threading.Event()
+        callback = zenoh.handlers.Callback(hand_over, drop=self._handed_over.set)
+        self._subscriber: Any = session.declare_subscriber(key, callback)
+
+    def undeclare(self) -> None:
+        """Hear no more."""
+        self._subscriber.undeclare()
+        self._handed_over.wait(HANDED_OVER_S)
 
 
 def _kept(topic: Topic) -> int:

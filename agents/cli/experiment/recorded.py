@@ -35,6 +35,7 @@ def recorded(
             session = new_session_folder(folder)
             if not start_recorder(supervisor, rig, session):
                 say(f"this session is not recorded: {NO_RECORDER}")
+                session.path.rmdir()
                 session = None
         yield None if session is None else session.recording, lambda: _check(supervisor)
     if session is not None:

@@ -118,7 +118,7 @@ def _field(path: Path | None, arm: str) -> Field | None:
     try:
         told = json.loads(path.read_text())
         T = np.array(told.get(arm, told)["T_camera_base"], np.float64)
-    except (AttributeError, KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise UsageError(f"{path} is no JSON with T_camera_base: {error}") from None
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise UsageError(f"T_camera_base of {path} is not 4x4 and finite")

@@ -41,15 +41,23 @@ def status(rig: RigConfig, options: RigStatus) -> int:
         return _once(rig, options)
     stopped = stopping()
     with _emitting(options.json) as emit, contextlib.ExitStack() as stack:
-        watch = None
+
+        def tell(gathered: Gathered) -> None:
+            if not emit(gathered):
+                stopped.set()
+
+        with _telling_of_no_router(rig, tell):
+            try:
+                # once, for as long as it takes: each attempt keeps a session of Zenoh that cannot be taken back
+                connection = stack.enter_context(connected(reading_session(rig), None, stopped))
+            except NoRouterError:
+                if stopped.is_set():
+                    return EXIT_OK
+                raise
+        watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
+        watch.start()
         while not stopped.wait(EVERY_S):
-            if watch is None:
-                with contextlib.suppress(NoRouterError):
-                    connection = stack.enter_context(connected(reading_session(rig), ROUTER_WAIT_S, stopped))
-                    watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
-                    watch.start()
-            if stopped.is_set() or not emit(_nothing(rig) if watch is None else watch.gathered()):
-                break
+            tell(watch.gathered())
     return EXIT_OK
 
 
@@ -95,3 +103,23 @@ def _emitting(as_json: bool) -> Generator[Emit]:
             return True
 
         yield update
+
+
+@contextlib.contextmanager
+def _telling_of_no_router(rig: RigConfig, tell_of: Callable[[Gathered], None]) -> Generator[None]:
+    """Tell again and again that no router answers, until one does."""
+    answered = threading.Event()
+
+    def tell() -> None:
+        wait_s = ROUTER_WAIT_S
+        while not answered.wait(wait_s):
+            tell_of(_nothing(rig))
+            wait_s = EVERY_S
+
+    telling = threading.Thread(target=tell, name="no router", daemon=True)
+    telling.start()
+    try:
+        yield
+    finally:
+        answered.set()
+        telling.join()

@@ -66,6 +66,7 @@ class RigRecording:
     def _begin(self) -> str:
         folder, supervisor = new_session_folder(self._rig.sessions), Supervisor(restart=False)
         if not start_recorder(supervisor, self._rig, folder):
+            folder.path.rmdir()
             return f"{NO_RECORDER[:1].upper()}{NO_RECORDER[1:]}."
         with self._lock:
             self._own, self._losses, self._log = (supervisor, folder.recording), [], folder.log(RECORDER)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from agents.camera.image_files import read_mask, read_pair, read_side_by_side
-from agents.cli.reconstruct.options import Reconstruct, check
+from agents.cli.reconstruct.options import TOO_LARGE, Reconstruct, check
 from agents.cli.reconstruct.pipeline import Pair, PipelineResult, reconstruct_pair
 from agents.cli.reconstruct.result_file import observed_points, result_text
 from agents.cli.whole_file import whole_file
@@ -32,15 +32,18 @@ def run(options: Reconstruct) -> int:
     read = _read_calibration(options, images)
     masks = _read_masks(options, images)
     pixel = _pixel(options, images)
-    result = reconstruct_pair(
-        images,
-        read.calibration,
-        masks=masks,
-        segmenter=options.segmenter,
-        method=options.method,
-        segmenters=segmenters_with(_promptable_files(options)),
-        prompt_px=None if pixel is None else np.array(pixel),
-    )
+    try:
+        result = reconstruct_pair(
+            images,
+            read.calibration,
+            masks=masks,
+            segmenter=options.segmenter,
+            method=options.method,
+            segmenters=segmenters_with(_promptable_files(options)),
+            prompt_px=None if pixel is None else np.array(pixel),
+        )
+    except MemoryError:
+        raise UsageError(TOO_LARGE) from None
     _write(options, result, read.judgements)
     if result.reconstruction.status is not Status.OK:
         return complain(_why_none(result, pixel), EXIT_FAILED)

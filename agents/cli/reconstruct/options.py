@@ -14,6 +14,7 @@ from agents.reconstruction.method_names import DEFAULT_METHOD
 from shared.terminal import UsageError
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
+TOO_LARGE = "the memory does not suffice for images of this size; give smaller ones"
 CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".txt")
 
 Segmenter = Literal["mask", "threshold", "network", "promptable"]

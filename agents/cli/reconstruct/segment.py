@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from agents.camera.image_files import read_image
-from agents.cli.reconstruct.options import Segment, check_segment
+from agents.cli.reconstruct.options import TOO_LARGE, Segment, check_segment
 from agents.cli.whole_file import whole_file
 from agents.perception.segmentation.classes import Kind, highest, scores_of
-from shared.terminal import say
+from shared.terminal import UsageError, say
 
 TINTS = {Kind.THREAD: (80, 255, 80), Kind.NEEDLE: (60, 230, 255), Kind.INSTRUMENT: (255, 140, 40)}
 """Blue, green, red."""
@@ -23,7 +23,10 @@ def run(options: Segment) -> int:
     """Segment as the options say and return the exit status; the one line about a failure goes to stderr."""
     check_segment(options)
     image = read_image(options.image)
-    scores = scores_of(image)
+    try:
+        scores = scores_of(image)
+    except MemoryError:
+        raise UsageError(TOO_LARGE) from None
     classes = highest(scores)
     _write(options, image, scores, classes)
     # whoever has the classes written to standard output wants nothing else there

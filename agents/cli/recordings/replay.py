@@ -110,7 +110,9 @@ def _settings(options: Replay, contents: Contents) -> SessionSettings:
 
 
 def _selection(options: Replay, contents: Contents, republisher: Republisher, rig: str) -> Selection:
-    present = republisher.present()
+    present = republisher.present_if_told()
+    if present is None:
+        raise UsageError(f"the router does not tell which agents run on rig {rig}; try again")
     if any(name.startswith(f"{REPLAY}/") for name in present):
         raise UsageError(f"a recording is replayed on rig {rig} already: stop that one, or give another --rig")
     selection = select(contents, options.topics or None, present)

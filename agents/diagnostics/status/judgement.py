@@ -1,6 +1,8 @@
 """What is wrong with a rig, in plain words: a pure function of what was heard of it."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
 
 from agents.configuration.topics import Override, in_words
 from agents.diagnostics.status.agents import judge_agents
@@ -143,6 +145,9 @@ def _why(arm: ArmHeard) -> str:
 def _clocks(gathered: Gathered) -> Iterator[Wrong]:
     offsets = list(by_host(o for o in gathered.clocks.values() if o is not None))
     named = {offset.host for offset in offsets if offset.least_ms > CLOCKS_APART_MS}
+    if ours := _own_clock([offset for offset in offsets if offset.host != gathered.here]):
+        yield ours
+        return
     for offset in offsets:
         if offset.host in named:
             yield Wrong("clock", offset.host, f"the clock of host {offset.host} is {apart(offset)}; {SYNCHRONISE}")
@@ -154,6 +159,18 @@ def _clocks(gathered: Gathered) -> Iterator[Wrong]:
             named.add(offset.host)
             text = f"the clock of host {offset.host} is {apart(offset, 'the planner')}; {SYNCHRONISE}"
             yield Wrong("clock", offset.host, text)
+
+
+def _own_clock(offsets: Sequence[ClockOffset]) -> Wrong | None:
+    """That the clock here is off, where it is off all others', and they agree; None where that is not so."""
+    ahead_ms = [offset.ahead_ms for offset in offsets]
+    if len(offsets) < 2 or any(offset.least_ms <= CLOCKS_APART_MS for offset in offsets):
+        return None
+    if max(ahead_ms) - min(ahead_ms) > CLOCKS_APART_MS + 2 * max(offset.within_ms for offset in offsets):
+        return None
+    off = f"{abs(np.median(ahead_ms)):.0f} ms {'behind' if np.median(ahead_ms) > 0 else 'ahead of'}"
+    text = f"the clock of this machine is {off} those of all other hosts, which agree; {SYNCHRONISE}"
+    return Wrong("clock", "here", text)
 
 
 def _schemas(gathered: Gathered) -> Iterator[Wrong]:

@@ -16,10 +16,12 @@ from agents.reconstruction.refined.method import reconstruct_refined
 from schemas.messages import Centrelines, Status, ThreadObservations, ThreadReconstruction
 
 Pair = tuple[Centrelines, Centrelines]
+MOST_GAP_M = 0.02
+"""Of tissue between strands of one thread, with what the view adds; the planner joins no ends more than 15 mm apart."""
 
 
 def with_strands(thread: ThreadReconstruction, observations: ThreadObservations) -> ThreadReconstruction:
-    """The same thread with the curves of all strands, where there are several; those that failed are left out.
+    """The same thread with the curves of all strands, where tissue may part it; those that failed are left out.
 
     They are the one that is meant, those of the observations, and what of their centrelines is no part of this thread.
     """
@@ -27,10 +29,27 @@ def with_strands(thread: ThreadReconstruction, observations: ThreadObservations)
     mine = observations.centrelines_left, observations.centrelines_right
     left = [(_along(mine[0], other.left_px), _along(mine[1], other.right_px)) for other in thread.other_threads]
     others = [lines for lines in (*apart, *left) if len(lines[0].piece) and len(lines[1].piece)]
-    if not others:
+    if not any(_may_be_one(mine[0], lines[0], thread) for lines in others):
         return thread
     made = [reconstruct_refined(_alone(observations, lines)) for lines in (mine, *others)]
     return replace(thread, strands=tuple(each.as_strand for each in made if each.status is Status.OK))
+
+
+def _may_be_one(mine: Centrelines, other: Centrelines, thread: ThreadReconstruction) -> bool:
+    """Whether ends of both lie so near in the left image that tissue may part one thread there, in a known unit."""
+    camera = thread.camera
+    if camera.metres_per_unit is None:
+        return False
+    if thread.status is not Status.OK:
+        return True
+    nearest = float(thread.control_points_camera[:, 2].min())
+    reach_px = MOST_GAP_M / camera.metres_per_unit * camera.fx_px / nearest
+    return bool((cKDTree(_ends_px(mine)).query(_ends_px(other))[0] <= reach_px).any())
+
+
+def _ends_px(lines: Centrelines) -> Float64[np.ndarray, "e 2"]:
+    begins = np.flatnonzero(np.diff(lines.piece, prepend=-1) != 0)
+    return lines.point_px[np.concatenate((begins, np.append(begins[1:], len(lines.piece)) - 1))]
 
 
 def _alone(observations: ThreadObservations, lines: Pair) -> ThreadObservations:

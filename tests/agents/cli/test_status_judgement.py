@@ -267,6 +267,16 @@ def test_a_clock_is_wrong_where_it_is_so_for_certain(ahead_ms, within_ms, wrong)
         assert list(found(**seen)) == [("clock", "b")] * wrong
 
 
+def test_a_clock_that_is_off_all_others_which_agree_is_that_of_this_machine():
+    clocks = {f"{name}/main": ClockOffset(name, ahead_ms, 0.3) for name, ahead_ms in (("a", -2000.0), ("b", -2000.4))}
+    clocks["viewer/desk"] = ClockOffset("desk", 0.0, 0.1)
+    (wrong,) = judge(moment(fare(), clocks=clocks, here="desk"))
+    assert wrong.text.startswith("the clock of this machine is 2000 ms ahead of those of all other hosts, which agree")
+    # where one of them is right, the others are off
+    clocks["planner/main"] = ClockOffset("c", 0.2, 0.3)
+    assert list(found(fare(), clocks=clocks, here="desk")) == [("clock", "a"), ("clock", "b")]
+
+
 ALLOWED = {"camera/main": Allowed(90.0, "camera.calibration_days", "calibrate")}
 OLD = facts(calibrated_ns=NOW_NS - 91 * DAY_NS)
 OLDER = health("planner", version="0.1.0")

@@ -27,12 +27,12 @@ def pose(x_m, z_m):
     return T
 
 
-def on_the_way(*corners):
+def on_the_way(*corners, beside=None):
     """How the instrument stands to a thread on that way; what is between the jaws is the thread's beginning."""
     stands = (0.0, 1.0, Phase.APPROACH), (0.01, 1.0, Phase.APPROACH), (0.01, 0.3, Phase.CAPTURE)
     stands += (0.02, 0.3, Phase.SLIDE), (0.02, 0.0, Phase.GRASP), (0.03, 0.0, Phase.RETREAT)
     waypoints = [Waypoint(pose(x_m, PIN_Z_M), jaw_rad, phase, 0.0) for x_m, jaw_rad, phase in stands]
-    return thread_clearance(curve_of(bench.polyline(*corners)), waypoints, pose(0.015, -0.2), CONFIG)
+    return thread_clearance(curve_of(bench.polyline(*corners)), waypoints, pose(0.015, -0.2), CONFIG, beside=beside)
 
 
 @pytest.mark.parametrize(
@@ -50,6 +50,16 @@ def test_shaft_wrist_and_fingers_are_swept_before_during_and_after_the_grasp(mom
     assert (before.phase, before.obstructed) == (phase, "")
     assert across.obstructed.startswith("the instrument touches the thread at s = 0.9")
     assert f", outside of the grasp, in the phase {phase.name.lower()}: " in across.obstructed
+
+
+@pytest.mark.parametrize("part", [SHAFT, WRIST])
+def test_another_strand_is_kept_clear_of_as_the_thread_is(part):
+    x_mm, (z_mm, radius_mm) = RETREAT[0], part
+    away = (x_mm, 150.0, z_mm), (x_mm, 60.0, z_mm)
+    for y_mm, word in ((radius_mm + 2.2, ""), (-radius_mm, "the instrument touches another strand, in the phase")):
+        strand = np.linspace((x_mm, 40.0, z_mm), (x_mm, y_mm, z_mm), 200) * 1e-3
+        assert on_the_way(*away, beside=strand).obstructed.startswith(word)
+        assert bool(on_the_way(*away, beside=strand).obstructed) == bool(word)
 
 
 def test_thread_counts_from_5_mm_along_it_from_the_jaws_on():

@@ -18,12 +18,17 @@ track, alone = TRACKERS["refined"], METHODS["refined"]
 
 def drawn_in(number):
     """A second thread, of which less is seen from frame to frame, as tissue takes it in at x = -15 mm."""
-    return lambda t: np.column_stack((-15 + (25 - number) * t, np.full(len(t), 22.0), 92 + 3 * t))
+    return lambda t: np.column_stack((-15 + (25 - number) * t, np.full(len(t), 17.0), 92 + 3 * t))
 
 
 def under(t):
     """A thread that no course leads to from the first one."""
     return np.column_stack((-2 + 4 * t, 8 + 16 * t, 92 + 3 * t))
+
+
+def apart(t):
+    """A thread whose ends are nowhere near those of the first one."""
+    return np.column_stack((-5 + 12 * t, np.full(len(t), 28.0), 92 + 3 * t))
 
 
 def speck(t):
@@ -91,3 +96,9 @@ def test_a_strand_that_is_no_thread_is_left_out_and_a_thread_that_fails_leaves_i
     failed = track(replace(seen(speck), strands=(lines(drawn_in(0)),)), None)
     assert failed.status is Status.FAILED
     assert off_mm(failed.apart[0], drawn_in(0)) < 0.3
+
+
+def test_threads_whose_ends_are_apart_are_no_strands_of_one_thread():
+    assert track(replace(seen(), strands=(lines(apart),)), None).strands == ()
+    unknown = replace(both(0), camera=replace(both(0).camera, metres_per_unit=None))
+    assert track(unknown, None).strands == ()
