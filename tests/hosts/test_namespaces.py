@@ -112,7 +112,7 @@ def test_an_arm_on_another_host_grasps_in_an_experiment_and_no_set_point_is_unsa
     moved = [a for a in attempts if a["outcome"] in ("held", "failed")]
     assert {a["trial"]["policy"] for a in moved} == {"direct", "robust"}, log
     assert max(a["slide_m"] for a in moved) > 0
-    assert "psm2: capture\npsm2: slide\npsm2: grasp" in log
+    assert "psm2: capture done\npsm2: slide done\npsm2: grasp done" in log
     written = (tmp_path / "audit" / f"robot_bridge-{EMULATED}.jsonl").read_text()
     audit = [json.loads(line) for line in written.splitlines()]
     armed = [line for line in audit if line.get("kind") == "accepted"]

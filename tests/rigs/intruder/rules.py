@@ -90,7 +90,7 @@ def _told_late(rig: Rig, session: zenoh.Session, keys: list[tuple[str, Topic]]) 
     late: list[Any] = []
     for name, topic in keys:
         if topic.delivery in (Delivery.STATE, Delivery.EVENT):
-            late += subscribe(rig.session(f"{OPERATOR}.desk"), name, topic, hear, lambda _: None)
+            late.append(subscribe(rig.session(f"{OPERATOR}.desk"), name, topic, hear, lambda _: None))
     threading.Event().wait(NEVER_AFTER_S)
     for declared in (*late, *publishers):
         declared.undeclare()
