@@ -51,7 +51,7 @@ def thread_clearance(
             f"{phase.name.lower()}: it may catch there or pull it along"
         )
     stands = ThreadClearance(obstructed, least, points[n], phase, float(s[n]))
-    if beside is not None and not stands.obstructed:
+    if beside is not None and len(beside) and not stands.obstructed:
         what = "another strand", "it may catch there or pull it along"
         stands = _past(stands, instrument, beside, config.thread_radius_m, phases, config, what)
     if needle is not None and not stands.obstructed:
