@@ -48,6 +48,7 @@ class Gathered:
         fares: of every agent that the rig's configuration has, or that was heard.
         addresses: of the rig's hosts, by name; empty on one machine.
         rates_hz: at which topics are expected, by name.
+        here: this machine, as its agents would call it.
         clocks: of the agents' hosts as measured here, by `kind/instance`; None where the agent gave no answer.
         planner_clocks: as the planner measured them.
         facts: of the agents that told them, by `kind/instance`.
@@ -66,6 +67,7 @@ class Gathered:
     endpoint: str
     router: bool = True
     router_host: str = ""
+    here: str = ""
     fares: tuple[Fare, ...] = ()
     addresses: Mapping[str, str] = field(default_factory=dict[str, str])
     rates_hz: Mapping[str, float] = field(default_factory=dict[str, float])

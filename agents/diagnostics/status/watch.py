@@ -1,6 +1,7 @@
 """Gathers what `suturegrasp status` judges by: listens to what is small, and asks for the rest from time to time."""
 
 import contextlib
+import socket
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -55,6 +56,7 @@ class StatusWatch:
             rig=rig.rig,
             endpoint=rig.router_endpoint,
             router_host=rig.router.host or "",
+            here=socket.gethostname(),
             addresses={name: host.address for name, host in rig.hosts.items()},
             rates_hz=expected_rates(rig),
             here_expires_ns=_own_expiry(rig),

@@ -24,7 +24,7 @@ MISTAKES = [
     ("", "give a command: demo"),
     ("run", "give a command: run camera"),
     ("run planer", "did you mean run planner?"),
-    ("run planner --config none.toml", "none.toml cannot be opened"),
+    ("run planner --config none.toml", "none.toml cannot be read"),
     ("camera", "suturegrasp camera is suturegrasp run camera now"),
     ("replay s.mcap --through planner", "suturegrasp replay --through is suturegrasp recompute --through now"),
     ("nonsense", "nonsense is no command; give one first: demo"),
