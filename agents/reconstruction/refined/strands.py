@@ -44,7 +44,7 @@ def _may_be_one(mine: Centrelines, other: Centrelines, thread: ThreadReconstruct
         return True
     nearest = float(thread.control_points_camera[:, 2].min())
     reach_px = MOST_GAP_M / camera.metres_per_unit * camera.fx_px / nearest
-    return bool((cKDTree(_ends_px(mine)).query(_ends_px(other))[0] <= reach_px).any())
+    return bool(np.any(cKDTree(_ends_px(mine)).query(_ends_px(other))[0] <= reach_px))
 
 
 def _ends_px(lines: Centrelines) -> Float64[np.ndarray, "e 2"]:
