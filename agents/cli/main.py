@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         status = complain("interrupted", EXIT_INTERRUPTED)
     except OSError as error:
-        how = "cannot be opened" if isinstance(error, FileNotFoundError) else "cannot be read or written"
+        how = "cannot be read" if isinstance(error, FileNotFoundError) else "cannot be read or written"
         what = f"{error.filename} {how}" if error.filename else "the system refused"
         status = complain(f"{what}: {error.strerror or error}", EXIT_UNUSABLE)
     except Exception as error:
