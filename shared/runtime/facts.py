@@ -129,14 +129,16 @@ def answer_clock(session: zenoh.Session, root: str) -> Any:
 
 
 class Handled:
-    """The newest message of each key that a consumer is done with; one thread notes, others read."""
+    """The newest message of each key that a consumer is done with; any thread notes and reads."""
 
     def __init__(self) -> None:
         self._newest: dict[str, tuple[int, int]] = {}
 
     def note(self, key: str, epoch: int, sequence: int) -> None:
         """A message is done with, and whatever followed from it has been published."""
-        self._newest[key] = epoch, sequence
+        at = self._newest.get(key)
+        if at is None or at[0] != epoch or at[1] < sequence:
+            self._newest[key] = epoch, sequence
 
     def listed(self) -> tuple[Consumed, ...]:
         """What was noted so far."""

@@ -230,7 +230,8 @@ class Runner:
             if account.refused % LIKE_PER_LINE == 0:
                 self._log.warning("a message on %s was refused: %s", arrival.key, error)
             account.refuse(counted)
-            if beside is not None:
+            # what is only remembered was noted when it came, and a newer one may have come since
+            if beside is not None and not counted:
                 self._intake.handled.note(arrival.key, beside.epoch, beside.sequence)
             return
         if not counted:
@@ -238,7 +239,8 @@ class Runner:
         only_newest_counts = str(arrival.topic) in self._newest_only
         self._fed.message(arrival.key, beside.epoch, beside.sequence, only_newest_counts)
         self._step(Received(arrival.topic, arrival.key, beside.sequence, message))
-        self._coming.note(arrival.key, beside.epoch, beside.sequence)
+        if not counted:
+            self._coming.note(arrival.key, beside.epoch, beside.sequence)
 
     def _carry_out(self, arrival: Arrival, answer: Callable[[CommandAnswer], None]) -> None:
         payload, received_ns = arrival.payload(), self._clock.now_ns()

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 import schemas
+from schemas.messages import Consumed
 from schemas.topics import HEALTH
 from shared.clock import processor_s
 from shared.runtime import facts
@@ -123,3 +124,10 @@ def test_the_rate_of_a_link_comes_out_and_no_trip_holds_it_up_for_longer_than_is
     assert sum(waited_s) <= 2 * facts.MEASURED_S
     # a fast one is measured with a whole frame
     assert (max(asked) == facts.FRAME_BYTES) == (rate == 1e9)
+
+
+def test_how_far_a_consumer_has_got_never_goes_back_though_several_threads_note_it():
+    handled = facts.Handled()
+    for epoch, sequence, newest in ((1, 5, 5), (1, 4, 5), (1, 6, 6), (2, 0, 0)):
+        handled.note("key", epoch, sequence)
+        assert handled.listed() == (Consumed("key", epoch, newest),)
