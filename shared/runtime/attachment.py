@@ -6,7 +6,8 @@ the agent's inputs, so that live and replayed outputs can be compared byte for b
 After a link to the router broke, Zenoh has taken numbers that stand for keys for those of before: messages, commands
 too, came under keys of other topics and other arms, which nothing in their bytes contradicts (docs/faults.md). So the
 key stands a second time in Zenoh's encoding, behind the message's type, and what comes under another key than its own
-is refused. What names none, as earlier versions do, is taken as before.
+is refused. What names none, as earlier versions do, is taken as before. At 1 kB a hop takes as long without all this;
+at 2.8 MB 0.1 ms less (`benchmarks.latency --only parts`).
 """
 
 import struct
