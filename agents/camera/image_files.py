@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.camera.decoding import DecodingError, decode_colour
+from shared.terminal import UsageError
 
 SMALLEST_SIDE_PX = 16
 LARGEST_FILE_BYTES = 1 << 29
@@ -42,6 +43,24 @@ def read_image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     image = _read(path, "the image")
     _check_smallest(image, f"the image {path}")
     return _eight_bit(image, int(image.max()))
+
+
+def read_given(
+    left: Path | None, right: Path | None, stereo: Path | None
+) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:
+    """The pair that was named: either both images, or one side-by-side image.
+
+    Raises:
+        UsageError: where neither is named, or both are.
+        ImageFileError: where a file cannot be used.
+    """
+    match left, right, stereo:
+        case Path(), Path(), None:
+            return read_pair(left, right)
+        case None, None, Path():
+            return read_side_by_side(stereo)
+        case _:
+            raise UsageError("give either both --left and --right, or one side-by-side image with --stereo")
 
 
 def read_side_by_side(stereo: Path) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:

@@ -1,11 +1,9 @@
 """`suturegrasp reconstruct`: a stereo pair from files becomes a thread in 3D, without a router."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 
-from agents.camera.image_files import read_mask, read_pair, read_side_by_side
+from agents.camera.image_files import read_given, read_mask
 from agents.cli.reconstruct.options import TOO_LARGE, Reconstruct, check
 from agents.cli.reconstruct.pipeline import Pair, PipelineResult, reconstruct_pair
 from agents.cli.reconstruct.result_file import observed_points, result_text
@@ -28,7 +26,7 @@ EXIT_OK, EXIT_FAILED = 0, 3
 def run(options: Reconstruct) -> int:
     """Reconstruct as the options say and return the exit status; the one line about a failure goes to stderr."""
     check(options)
-    images = _read_images(options)
+    images = read_given(options.left, options.right, options.stereo)
     read = _read_calibration(options, images)
     masks = _read_masks(options, images)
     pixel = _pixel(options, images)
@@ -56,16 +54,6 @@ def run(options: Reconstruct) -> int:
         if further := _further(result):
             say(further)
     return EXIT_OK
-
-
-def _read_images(options: Reconstruct) -> Pair:
-    match options.left, options.right, options.stereo:
-        case Path() as left, Path() as right, None:
-            return read_pair(left, right)
-        case None, None, Path() as stereo:
-            return read_side_by_side(stereo)
-        case _:
-            raise UsageError("give either both --left and --right, or one side-by-side image with --stereo")
 
 
 def _pixel(options: Reconstruct, images: Pair) -> tuple[float, float] | None:

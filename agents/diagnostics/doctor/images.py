@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.camera.image_files import ImageFileError, read_pair, read_side_by_side
+from agents.camera.image_files import ImageFileError, read_given
 from agents.diagnostics.doctor.finding import UNKNOWN, Finding
-from agents.diagnostics.doctor.image_answers import Pair, answers_about
+from agents.diagnostics.doctor.image_answers import answers_about
 from agents.perception.judging.answers import Answer
 from agents.perception.judging.sequence import about_sequence
 from schemas.checks import MessageError
@@ -83,7 +83,7 @@ def examine_images(files: PairFiles) -> Iterator[Finding]:
     if not 1 <= len(files.calibration) <= 2:
         raise UsageError("give the --calibration of the camera: one path, or two (left and right)")
     try:
-        images = _read(files)
+        images = read_given(files.left, files.right, files.stereo)
     except ImageFileError as error:
         yield _wrong(IMAGES, str(error), "give both images of one frame, of one size")
         return
@@ -125,16 +125,6 @@ def findings(answers: Iterable[Answer]) -> Iterator[Finding]:
         else:
             remedy = f"{answer.wrong.remedy} ({answer.wrong.severity.name.lower()} {answer.wrong.code})"
             yield Finding(f"{IMAGES}, {answer.question}", answer.found, remedy)
-
-
-def _read(files: PairFiles) -> Pair:
-    match files.left, files.right, files.stereo:
-        case Path() as left, Path() as right, None:
-            return read_pair(left, right)
-        case None, None, Path() as stereo:
-            return read_side_by_side(stereo)
-        case _:
-            raise UsageError("give either both --left and --right, or one side-by-side image with --stereo")
 
 
 def _calibration(files: PairFiles, size: tuple[int, int]) -> ReadCalibration:

@@ -14,7 +14,7 @@ from agents.perception.segmentation.classes import ThreadScore
 
 LIKELY_METAL = 0.5
 """A stretch is asked about where metal is more than so likely as thread is."""
-WEIGHTS = -0.4, -0.87, -0.69, -1.36
+WEIGHTS = 0.4, 0.87, 0.69, -1.36
 """Of what speaks for an end's being thread (`Ends.evidence`), in log-odds; by `benchmarks.training.line_odds`."""
 APART_PX = 3
 """How far apart the places may be at which one end of a stretch meets its line."""
@@ -27,8 +27,8 @@ class Ends:
 
     Fields:
         pixel: indices of their pixels; end: which each belongs to, from 0.
-        evidence: of each end its mean log-odds of ground and of metal against thread, that of metal for the rest of
-            the line, and 1.
+        evidence: of each end its mean log-odds of being thread and not ground, and not metal; the latter of the rest of
+            the line; and 1.
     """
 
     pixel: Int64[np.ndarray, "p"]
@@ -70,9 +70,9 @@ def ends_of(score: ThreadScore, is_line: Bool[np.ndarray, "h w"]) -> Ends:
     pixel = np.flatnonzero(is_metal)
     of = stretch.ravel()[pixel]
     ends = np.flatnonzero(is_end)
-    shown = _mean_log_odds(score, pixel, of, stretches)[ends]
+    shown = mean_log_odds(score, pixel, of, stretches)[ends]
     rest_pixel = np.flatnonzero(is_rest)
-    of_rest = _mean_log_odds(score, rest_pixel, rest.ravel()[rest_pixel], rests)[rest_of[ends], 1]
+    of_rest = mean_log_odds(score, rest_pixel, rest.ravel()[rest_pixel], rests)[rest_of[ends], 1]
     at_end = is_end[of]
     return Ends(pixel[at_end], np.searchsorted(ends, of[at_end]), np.column_stack((shown, of_rest, np.ones(len(ends)))))
 
@@ -82,13 +82,11 @@ def _labelled(mask: np.ndarray) -> tuple[int, Int32[np.ndarray, "h w"]]:
     return count, np.asarray(labels, np.int32)
 
 
-def _mean_log_odds(
+def mean_log_odds(
     score: ThreadScore, pixel: Int64[np.ndarray, "p"], part: Int32[np.ndarray, "p"], count: int
 ) -> Float64[np.ndarray, "c 2"]:
-    """Of each of so many parts, the mean log-odds of its pixels of being ground, and metal, and not thread."""
+    """Of each of so many parts of lines, the mean log-odds of being thread and not ground, and not metal."""
     of_thread, of_metal = score.reshape(-1, 2)[pixel].T.astype(np.float64)
     others = np.maximum((255 - of_thread - of_metal, of_metal), 1)
     pixels = np.maximum(np.bincount(part, minlength=count), 1)
-    return np.column_stack(
-        [np.bincount(part, each, count) / pixels for each in np.log(others / np.maximum(of_thread, 1))]
-    )
+    return np.column_stack([np.bincount(part, each, count) / pixels for each in np.log(of_thread / others)])

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from agents.perception.segmentation.boxes import Meant, Near, extents, of_pixels, piece_meant
 from agents.perception.segmentation.classes import ThreadScore, as_usual, resized, thread_score
-from agents.perception.segmentation.line_ends import without_needles
+from agents.perception.segmentation.line_ends import mean_log_odds, without_needles
 
 LEAST_COVERAGE = 96
 """Of a pixel by thread, where thread was found in a larger copy: a thread thinner than a pixel may fall between two."""
@@ -86,11 +86,7 @@ def lines_in(score: ThreadScore) -> Lines:
     # few pixels are that high, and looking at them alone takes a third of the time
     pixel = np.flatnonzero(is_line)
     line = np.asarray(labelled, np.int32).ravel()[pixel]
-    of_thread, of_metal = score.reshape(-1, 2)[pixel].T.astype(np.float64)
-    others = np.maximum((255 - of_thread - of_metal, of_metal), 1)
-    against = np.log(of_thread / others)
-    pixels = np.maximum(np.bincount(line, minlength=count), 1)
-    of_ground, of_metal = (np.bincount(line, each, count) / pixels for each in against)
+    of_ground, of_metal = mean_log_odds(score, pixel, line, count).T
     return Lines(pixel, line, extents(line, pixel, score.shape[1], count), of_ground, of_metal)
 
 
