@@ -10,14 +10,27 @@ import functools
 from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import asdict
 from itertools import count
 from typing import Any, TypeVar
+
+import numpy as np
 
 from agents.operator.control import ArmNow, BeatNow, Control, Effect, HoldNow, Noted
 from agents.operator.operator import PLAN_ARRIVES_S, SEGMENTS, UNKNOWN_PLAN, prompt
 from agents.operator.words import Voice
-from schemas.messages import Arm, CommandAnswer, GraspGoal, Heartbeat, Hold, Outcome, Policy
-from schemas.topics import ARM, GOAL, HEARTBEAT, HOLD
+from schemas.messages import (
+    Arm,
+    CommandAnswer,
+    GraspGoal,
+    Heartbeat,
+    Hold,
+    Outcome,
+    Policy,
+    PullBounds,
+    PullGoal,
+)
+from schemas.topics import ARM, GOAL, HEARTBEAT, HOLD, PULL_GOAL
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.commands import new_header
 from shared.runtime.connection import Connection
@@ -82,6 +95,7 @@ class Throttle:
 
 SENDER = "operator page"
 AGAIN_S = 0.1
+MM_PER_METRE = 1e3
 POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
 
 Result = TypeVar("Result")
@@ -126,17 +140,33 @@ class Commands:
         answer = await self.aside(lambda: self._connection.command(GOAL, goal))
         return goal.header.id, answer
 
+    async def pull(
+        self, arm: str, tail_mm: float | None, exit_pixel: tuple[float, float] | None
+    ) -> tuple[str, CommandAnswer]:
+        """Ask for a pull until the tail is so long, or without a length for jaws that let go; likewise."""
+        tail_m, pixel = tail_mm and tail_mm / MM_PER_METRE, None if exit_pixel is None else np.array(exit_pixel)
+        goal = PullGoal(new_header(SENDER), arm, tail_m, pixel)
+        answer = await self.aside(lambda: self._connection.command(PULL_GOAL, goal))
+        return goal.header.id, answer
+
     async def prompt(self, pixel: Any) -> CommandAnswer:
         """Say which thread is meant."""
         return await self.aside(lambda: prompt(self._connection, pixel))
 
     async def arm(
-        self, screen: str, arm: str, plan_id: str, begins: Callable[[str], bool], challenge_ns: Callable[[], int]
+        self,
+        screen: str,
+        arm: str,
+        plan_id: str,
+        begins: Callable[[str], bool],
+        challenge_ns: Callable[[], int],
+        pull: PullBounds | None = None,
     ) -> CommandAnswer | None:
         """Arm a plan; `begins` is told the id before it is sent, and says whether that is still wanted.
 
         A plan that its bridge does not know may still be on its way there, and is asked for again for a while.
-        `challenge_ns` tells the newest challenge of the bridge that was heard.
+        `challenge_ns` tells the newest challenge of the bridge that was heard; `pull` within which bounds all segments
+        of a pull are armed.
 
         Raises:
             RuntimeError: where it cannot be written down.
@@ -147,8 +177,9 @@ class Commands:
             header = new_header(SENDER)
             if not begins(header.id):
                 return None
-            self._audit("arm", screen=screen, arm=arm, plan_id=plan_id, id=header.id)
-            message = Arm(header, arm, plan_id, challenge_ns(), pressed=True, segments=SEGMENTS)
+            stated = {} if pull is None else {"pull": asdict(pull)}
+            self._audit("arm", screen=screen, arm=arm, plan_id=plan_id, id=header.id, **stated)
+            message = Arm(header, arm, plan_id, challenge_ns(), pressed=True, segments=SEGMENTS, pull=pull)
             answer = await self.aside(lambda message=message: self._connection.command(ARM, message, arm))
             if answer.code != UNKNOWN_PLAN or monotonic_s() > deadline_s:
                 return answer
@@ -168,11 +199,16 @@ class StandingBy:
     """
 
     def __init__(
-        self, control: Control, commands: Commands, voice: Voice, newest_challenge: Callable[[str], int]
+        self,
+        control: Control,
+        commands: Commands,
+        voice: Voice,
+        newest_challenge: Callable[[str], int],
+        pull_bounds: Callable[[str, str], PullBounds | None],
     ) -> None:
-        """`newest_challenge` is that of an arm's bridge which was heard."""
+        """`newest_challenge` is that of an arm's bridge which was heard, `pull_bounds` those of an arm's plan."""
         self._control, self._commands, self._voice = control, commands, voice
-        self._newest_challenge = newest_challenge
+        self._newest_challenge, self._pull_bounds = newest_challenge, pull_bounds
         self._tasks: set[asyncio.Task[None]] = set()
         self.armed_s: dict[str, float] = {}
         self.holds: dict[str, str] = {}
@@ -220,7 +256,8 @@ class StandingBy:
         sent, begins = self._begins(plan_id)
         try:
             newest = functools.partial(self._newest_challenge, arm)
-            answer = await self._commands.arm(screen, arm, plan_id, begins, newest)
+            bounds = self._pull_bounds(arm, plan_id)
+            answer = await self._commands.arm(screen, arm, plan_id, begins, newest, bounds)
         except RuntimeError as error:
             self._voice.refuse(screen, str(error))
             self.follow(self._control.release(screen, "it could not be written down"))

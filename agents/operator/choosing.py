@@ -4,7 +4,7 @@ A click becomes a place on the thread: the nearest one, and any other strand tha
 """
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from jaxtyping import Float64
 from agents.operator.arming import POLICIES, Commands
 from agents.operator.drawn import DrawnThread
 from agents.operator.field_state import FieldState
-from agents.operator.wire import Click
+from agents.operator.wire import Click, PullThrough
 from agents.operator.words import Voice
 from schemas.messages import CommandAnswer, Outcome
 from shared.clock import monotonic_s
@@ -122,6 +122,7 @@ AGAIN_S, AGAIN_FOR_S = 0.15, 3.0
 FOUND_ANEW = "the thread was found anew, so that s may name another place now: look again, then name the goal anew"
 
 Awaiting = Coroutine[Any, Any, None] | None
+Asking = Callable[[], Coroutine[Any, Any, tuple[str, CommandAnswer]]]
 
 
 class Choosing:
@@ -154,6 +155,18 @@ class Choosing:
         self._voice.refuse(screen, "there is no such place on a thread that is seen now")
         return None
 
+    def pulled(self, screen: str, said: PullThrough) -> Awaiting:
+        """A goal that thread is pulled through, or let go; what is then to do."""
+        voice, arm = self._voice, said.arm
+        if arm not in self._field.arms():
+            voice.refuse(screen, "there is no such arm")
+            return None
+        if not voice.written(screen, "pull", arm=arm, tail_mm=said.tail_mm, exit_pixel=said.exit_pixel):
+            return None
+        at = None if said.exit_pixel is None else {"px": said.exit_pixel}
+        goal = {"at": None, "exit": at, "tail_mm": said.tail_mm, "others": [], "text": "Planning ...", "goal_id": ""}
+        return self._begin(goal, arm, lambda: self._commands.pull(arm, said.tail_mm, said.exit_pixel))
+
     async def prompt(self, screen: str, pixel: tuple[float, float] | None) -> None:
         """Say which thread is meant."""
         voice = self._voice
@@ -181,15 +194,18 @@ class Choosing:
             return None
         others = [each.document() for each in found[1:]]
         goal = {"at": found[0].document(), "others": others, "policy": policy, "text": "Planning ...", "goal_id": ""}
+        return self._begin(goal, arm, lambda: self._commands.goal(arm, policy, found[0].s))
+
+    def _begin(self, goal: dict[str, Any], arm: str, ask: Asking) -> Awaiting:
         self.goals[arm] = goal
         # from now on nobody is to arm the plan of another goal
         self._field.plans.pop(arm, None)
-        voice.changed.set()
-        return self._plan(goal, arm, found[0].s)
+        self._voice.changed.set()
+        return self._plan(goal, arm, ask)
 
-    async def _plan(self, goal: dict[str, Any], arm: str, s: float) -> None:
+    async def _plan(self, goal: dict[str, Any], arm: str, ask: Asking) -> None:
         voice = self._voice
-        goal_id, answer = await self._asked(goal, arm, s)
+        goal_id, answer = await self._asked(goal, arm, ask)
         if self.goals[arm] is not goal:
             return
         if answer.outcome is not Outcome.ACCEPTED:
@@ -199,11 +215,11 @@ class Choosing:
             goal["goal_id"] = goal_id
         voice.changed.set()
 
-    async def _asked(self, goal: dict[str, Any], arm: str, s: float) -> tuple[str, CommandAnswer]:
+    async def _asked(self, goal: dict[str, Any], arm: str, ask: Asking) -> tuple[str, CommandAnswer]:
         """The planner's answer; what only speaks against the moment is asked again for a while."""
         deadline_s, found = monotonic_s() + AGAIN_FOR_S, self._field.found
         while True:
-            goal_id, answer = await self._commands.goal(arm, goal["policy"], s)
+            goal_id, answer = await ask()
             if answer.code not in PASSING or monotonic_s() > deadline_s or self.goals[arm] is not goal:
                 return goal_id, answer
             goal["text"] = f"Planning ... ({answer.reason})"

@@ -26,6 +26,7 @@ from agents.operator.wire import (
     Place,
     Press,
     PromptAt,
+    PullThrough,
     Record,
     Release,
     Said,
@@ -69,7 +70,10 @@ class Desk:
         self._showing = Showing(self.field, self.screens, self._commands.aside, self._controls, self._load)
         self._choosing = Choosing(self.field, self._commands, self._voice)
         self._rig_panels = RigPanels(around, self.field, self._commands, self._voice)
-        self._standing_by = StandingBy(self.control, self._commands, self._voice, self.field.newest_challenge)
+        field = self.field
+        self._standing_by = StandingBy(
+            self.control, self._commands, self._voice, field.newest_challenge, field.pull_bounds
+        )
         self._hold_throttle = Throttle(self._loop.call_later)
         self._events = EventHandler(
             self.field, self.control, self._choosing, self._rig_panels, self._standing_by, self._voice
@@ -149,6 +153,8 @@ class Desk:
             case Click() if planning := choosing.clicked(name, said):
                 start(planning)
             case Place(s, arm, policy) if planning := choosing.placed(name, arm, policy, s):
+                start(planning)
+            case PullThrough() if planning := choosing.pulled(name, said):
                 start(planning)
             case PromptAt(pixel):
                 start(choosing.prompt(name, pixel))

@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float64
 from agents.operator.wire import compact, packed
 from schemas.messages import (
     GraspPlan,
+    PullBounds,
     RectifiedStereo,
     RobotState,
     Status,
@@ -156,6 +157,7 @@ def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:
         "ok": plan.status is Status.OK,
         "reason": plan.reason,
         "pull": plan.pull.sentence if plan.pull is not None else "",
+        "bounds": "" if plan.pull is None or plan.pull.bounds is None else bounds_words(plan.pull.bounds),
         "policy": plan.policy.name.lower().replace("_", "-"),
         "s_goal": plan.s_goal,
         "s_capture": plan.s_capture,
@@ -186,6 +188,12 @@ def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:
     if plan.waypoints and camera.metres_per_unit is not None:
         told["way"] = way_of(plan.waypoints, camera)
     return told
+
+
+def bounds_words(bounds: PullBounds) -> str:
+    """What a pull is armed for."""
+    length, radius = f"{MM * bounds.length_m:.0f} mm", f"{MM * bounds.radius_m:.0f} mm"
+    return f"at most {length} in {bounds.time_s:.0f} s, within {radius} of where the strand goes into the tissue"
 
 
 def way_of(waypoints: Sequence[Waypoint], camera: RectifiedStereo) -> list[dict[str, Any]]:

@@ -25,6 +25,7 @@ from schemas.messages import (
     GraspCheck,
     GraspPlan,
     LogRecord,
+    PullBounds,
     RectifiedStereo,
     RobotMode,
     RobotState,
@@ -67,6 +68,7 @@ class FieldState:
         self.observed: tuple[int, str] | None = None
         self.judgements: list[dict[str, str]] = []
         self.plans: dict[str, dict[str, Any]] = {}
+        self._bounds: dict[str, PullBounds] = {}
         self.checks: dict[str, str] = {}
         self._stops: dict[str, tuple[str, int]] = {}
         self._warnings: dict[str, tuple[str, int]] = {}
@@ -160,7 +162,15 @@ class FieldState:
             self.checks.pop(plan.arm, None)
         self._came_s[f"plan {plan.arm}"] = monotonic_s()
         self.plans[plan.arm] = drawn | {"captured_ms": plan.stamp.capture_left_ns * 1e-6}
+        self._bounds.pop(plan.arm, None)
+        if plan.pull is not None and plan.pull.bounds is not None:
+            self._bounds[plan.arm] = plan.pull.bounds
         return True
+
+    def pull_bounds(self, arm: str, plan_id: str) -> PullBounds | None:
+        """Within which bounds that plan is armed, which pages show; None where it is no pull, or not the newest."""
+        plan = self.plans.get(arm)
+        return self._bounds.get(arm) if plan is not None and plan["id"] == plan_id else None
 
     def note_check(self, check: GraspCheck) -> bool:
         """Keep what a look after a grasp found; False where it is of no goal whose plan is shown."""

@@ -75,6 +75,20 @@ class Place:
 
 
 @dataclass(frozen=True, config=STRICT)
+class PullThrough:
+    """Thread is to be pulled until its tail is so long; without a length, jaws let go of it where they are.
+
+    Fields:
+        exit_pixel: of the rectified left image, where the tail comes out of the tissue; None where that is clear.
+    """
+
+    arm: str
+    tail_mm: Annotated[float, Field(gt=0, le=1000)] | None
+    exit_pixel: tuple[float, float] | None
+    kind: Literal["pull"] = "pull"
+
+
+@dataclass(frozen=True, config=STRICT)
 class PromptAt:
     """The thread at a pixel is meant; without a pixel any."""
 
@@ -156,6 +170,7 @@ Said = (
     | Give
     | Click
     | Place
+    | PullThrough
     | PromptAt
     | Press
     | Beat

@@ -56,7 +56,9 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
     if press is not None:
         if press.stage is Stage.ARMED:
             whose = "while you keep the button pressed" if press.screen == screen else f"while {press.screen} presses"
-            return f"{press.arm} carries out its plan {whose}. Let go and it holds."
+            pulls = seen.plan is not None and seen.plan["arm"] == press.arm and seen.plan["pull"]
+            does = f"pulls ({_in_short(pulls)})" if pulls else "carries out its plan"
+            return f"{press.arm} {does} {whose}. Let go and it holds."
         if press.stage is Stage.ARMING:
             return f"{press.arm} is being armed."
         return "Keep the button pressed to arm." if press.screen == screen else f"{press.screen} presses to arm."
@@ -74,7 +76,8 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
         asked = f"You asked {control.controller} for control" if control.asking == screen else "You watch"
         return f"{asked}; {control.controller or 'nobody'} controls. Hold works for everybody."
     if seen.done:
-        return f"{arm} has carried out its plan. Click the thread for the next goal."
+        pulled = f": {_in_short(seen.plan['pull'])}" if seen.plan is not None and seen.plan["pull"] else ""
+        return f"{arm} has carried out its plan{pulled}. Click the thread for the next goal."
     if seen.plan is not None and seen.plan["ok"]:
         if seen.plan_age_s is not None and seen.plan_age_s > OLD_PLAN_S:
             return "The plan is too old to be armed. Plan again."
@@ -94,12 +97,18 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
 def plan_words(plan: dict[str, Any]) -> str:
     """A plan in one sentence."""
     if plan["pull"]:
-        return f"Planned: {plan['pull']}."
+        # its figures, and what it is armed for, stand beside the button, which long sentences would move
+        return f"Planned: {_in_short(plan['pull'])}."
     where = f"grasp at {_percent(plan['s_goal'])}"
     if plan["slide_mm"] > 0:
         where = f"capture at {_percent(plan['s_capture'])}, slide {plan['slide_mm']:.0f} mm, {where}"
     again = f"Attempt {plan['attempt']} of {plan['attempts']}" if plan["attempt"] > 1 else "Planned"
     return f"{again}: {where}; success {plan['probability']:.0%}."
+
+
+def _in_short(sentence: str) -> str:
+    """A sentence of a pull without what it was judged by."""
+    return sentence.split(";")[0]
 
 
 def arm_words(mode: str, why: str, state: RobotState | None, tool: ToolCorrection | None) -> str:

@@ -36,7 +36,7 @@ FLAT = (
 TYPICAL_MM = 95.0
 """Where a thread is looked for before one has been seen: the middle of an endoscope's working range."""
 
-THREAD_DRAWN = ("world/thread/curve", "world/thread/other_course", "world/thread/ends")
+THREAD_DRAWN = ("world/thread/curve", "world/thread/strands", "world/thread/other_course", "world/thread/ends")
 DRAWN_ON_IMAGES = (*THREAD_DRAWN, "world/shown/**")
 OF_GRASP = ("world/plan/**", "world/tool/**")
 

@@ -3,7 +3,8 @@
     world                       the rectified left camera's axes: x right, y down, z away
       left, right               the two pinhole cameras, with `image` and `mask` below
       observations              `points`, and the `matched` pixels behind them
-      thread                    `curve`, `ends`, `control_points`, `regions`
+      thread                    `curve`, `ends`, `control_points`, `regions`; `strands`: the curves of all threads that
+                                look like it, where tissue may part one thread
         posterior               the tube that holds the thread with 95 % probability, across it; at true scale
     world/{side}/centrelines    the middle of the thread as that image shows it, by piece
     world/{side}/residuals_x20  whiskers from the projected curve toward the centrelines' points, twenty times as long
@@ -280,6 +281,7 @@ def reconstruction_entities(
         ("world/thread/curve", [_curve(thread)]),
         ("world/thread/ends", [_ends(thread)]),
         ("world/thread/other_course", [_other_course(reconstruction, thread)]),
+        ("world/thread/strands", [_strands(reconstruction)]),
         ("world/thread/control_points", [rr.Points3D(control, colors=[(*colours.MASK, 200)], radii=[-2.0])]),
         ("world/thread/regions", [boxes]),
         ("confidence", [_confidence_bars(thread)]),
@@ -354,6 +356,12 @@ def _other_course(reconstruction: ThreadReconstruction, thread: Polyline | None)
     ends = np.stack([np.interp(course.elsewhere, thread.along, axis) for axis in thread.points_camera.T], axis=-1)
     labels = [f"may lead from s={start:.2f} to s={end:.2f}" for start, end in course.elsewhere]
     return rr.LineStrips3D(ends, colors=[colours.WARNING], radii=[-CURVE_RADIUS], labels=labels)
+
+
+def _strands(reconstruction: ThreadReconstruction) -> rr.LineStrips3D:
+    lines = [thread_polyline(strand, CURVE_POINTS) for strand in reconstruction.apart]
+    points = [line.points_camera for line in lines if line is not None]
+    return rr.LineStrips3D(points, colors=[colours.CENTRELINE], radii=[-0.6])
 
 
 def _ends(thread: Polyline | None) -> rr.Points3D:

@@ -80,9 +80,15 @@ for (const id of ["show-observations", "show-space"]) $(id).addEventListener("ch
 $("show-alternatives").addEventListener("change", (e) => { picture.alternatives = e.target.checked; picture.draw(); });
 $("arm").addEventListener("change", refresh);
 $("hold").addEventListener("click", () => hold());
-$("again").addEventListener("click", () => { if (picture.goal) place(picture.goal.at.s); });
+$("again").addEventListener("click", () => {
+  const goal = picture.goal;
+  if (goal?.at) place(goal.at.s);
+  else if (goal) pull(goal.tail_mm, goal.exit?.px ?? null);
+});
+$("pull").addEventListener("click", () => pointing(panel.pointing === "pull" ? "" : "pull"));
+$("let-go").addEventListener("click", () => pull(null, null));
 $("any").addEventListener("click", () => link.say("prompt", { pixel: null }));
-$("meant").addEventListener("click", () => prompting(!panel.prompting));
+$("meant").addEventListener("click", () => pointing(panel.pointing === "meant" ? "" : "meant"));
 $("take").addEventListener("click", () => link.say("take"));
 $("give").addEventListener("click", () => link.say("give", { yes: true }));
 $("keep").addEventListener("click", () => link.say("give", { yes: false }));
@@ -100,9 +106,12 @@ $("theme").addEventListener("click", () => {
 $("picture").addEventListener("click", (event) => {
   const pixel = picture.pixelAt(event);
   if (!pixel) return;
-  if (panel.prompting) {
-    prompting(false);
+  const what = panel.pointing;
+  if (what) pointing("");
+  if (what === "meant") {
     link.say("prompt", { pixel });
+  } else if (what === "pull") {
+    if ($("tail").reportValidity()) pull($("tail").valueAsNumber, pixel);
   } else {
     link.say("click", { frame: picture.thread?.frame ?? 0, pixel, arm: arm(), policy: $("policy").value });
   }
@@ -120,11 +129,11 @@ $("picture").addEventListener("keydown", (event) => {
   if (!step || !picture.thread) return;
   event.preventDefault();
   // keys that follow each other quickly go on from what was asked for, which the server has not told yet
-  const from = performance.now() - asked.ms < ASKED_MS ? asked.s : picture.goal?.at.s ?? 0.5;
+  const from = performance.now() - asked.ms < ASKED_MS ? asked.s : picture.goal?.at?.s ?? 0.5;
   place(Math.max(0, Math.min(1, from + step)));
 });
 addEventListener("keydown", (event) => {
-  const types = event.target.matches?.("input[type=text]");
+  const types = event.target.matches?.("input[type=text], input[type=number]");
   if (event.key === "Escape" || (event.key === " " && !types)) {
     event.preventDefault();
     if (!event.repeat) hold();
@@ -133,7 +142,7 @@ addEventListener("keydown", (event) => {
 // the space bar holds, so it is Enter that ticks a box
 addEventListener("keydown", (event) => { if (event.key === "Enter" && event.target.matches?.("input[type=checkbox]")) event.target.click(); });
 // a button that has the focus is not to be clicked by the key that holds
-addEventListener("keyup", (event) => { if (event.key === " " && !event.target.matches?.("input[type=text]")) event.preventDefault(); }, { capture: true });
+addEventListener("keyup", (event) => { if (event.key === " " && !event.target.matches?.("input[type=text], input[type=number]")) event.preventDefault(); }, { capture: true });
 addEventListener("resize", () => picture.draw());
 
 function hold() {
@@ -146,10 +155,15 @@ function place(s) {
   link.say("place", { s, arm: arm(), policy: $("policy").value });
 }
 
-function prompting(on) {
-  panel.prompting = on;
-  $("meant").setAttribute("aria-pressed", String(on));
-  panel.refused(on ? "Click the thread that is meant." : "");
+function pull(tail_mm, exit_pixel) {
+  link.say("pull", { arm: arm(), tail_mm, exit_pixel });
+}
+
+// the next click on the image says something else than a goal on the thread
+function pointing(what) {
+  panel.pointing = what;
+  for (const id of ["meant", "pull"]) $(id).setAttribute("aria-pressed", String(id === what));
+  panel.refused({ meant: "Click the thread that is meant.", pull: "Click where the tail comes out of the tissue." }[what] ?? "");
 }
 
 function judged(held, cause) {

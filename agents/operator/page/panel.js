@@ -11,7 +11,7 @@ export class Panel {
   constructor($) {
     this.$ = $;
     this.state = null;
-    this.prompting = false;
+    this.pointing = "";
     this.blind = "";
     this.kept = {};
   }
@@ -49,7 +49,7 @@ export class Panel {
     $("take").hidden = mine || state.asking === state.you;
     $("give").hidden = !(mine && state.asking);
     $("keep").hidden = !(mine && state.asking);
-    for (const id of ["again", "meant", "any", "next"]) $(id).disabled = !mine;
+    for (const id of ["again", "meant", "any", "next", "pull", "let-go"]) $(id).disabled = !mine;
   }
 
   show(plan, done, goal, down) {
@@ -173,6 +173,7 @@ function screensSentence(state) {
 function goalMarkup(plan, done, goal, note, check) {
   const told = note ? `<p class="refused">${escaped(note)}</p>` : "";
   if (!goal) return `${told}<p>No goal yet. Click the thread, or focus the image and use the arrow keys.</p>`;
+  if (!goal.at) return told + pullMarkup(plan, done, goal);
   const at = goal.at;
   const off = at.off_mm ? ` (${at.off_mm.toFixed(1)} mm from your click)` : "";
   const rows = [
@@ -200,6 +201,17 @@ function goalMarkup(plan, done, goal, note, check) {
   if (check) rows.push(["check", check]);
   const list = rows.map(([name, words]) => `<dt>${name}</dt><dd>${escaped(words)}</dd>`).join("");
   return `${told}${success}<dl>${list}</dl>${strands}`;
+}
+
+function pullMarkup(plan, done, goal) {
+  const rows = [["goal", goal.tail_mm ? `pull until the tail is ${goal.tail_mm} mm long` : "let go of the thread"]];
+  let said = `<p>${escaped(goal.text)}</p>`;
+  if (plan && !goal.text) {
+    said = plan.ok ? `<p class="success"><small>${done ? "carried out" : "planned"}</small></p>` : `<p class="refused">No pull: ${escaped(plan.reason)}</p>`;
+    if (plan.ok) rows.push(["plan", plan.pull]);
+    if (plan.bounds) rows.push(["armed for", plan.bounds]);
+  }
+  return `${said}<dl>${rows.map(([name, words]) => `<dt>${name}</dt><dd>${escaped(words)}</dd>`).join("")}</dl>`;
 }
 
 function consideredWords(able, unable) {

@@ -106,7 +106,8 @@ export class Picture {
     if (this.observations && this.observed) this.paintObserved();
     if (this.plan) this.paintPlan();
     for (const tool of this.tools) this.paintTool(tool);
-    if (this.goal) this.paintGoal(this.goal.at, "goal");
+    if (this.goal?.at) this.paintGoal(this.goal.at, "goal");
+    else if (this.goal?.exit) this.paintGoal(this.goal.exit, "exit");
     if (this.hover) this.paintGoal(this.hover, "");
   }
 

@@ -1,5 +1,7 @@
 """The tail in one frame while a pull is carried out, as the planner tells it and the bridge watches it."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -7,7 +9,7 @@ from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError
 from agents.planner.needle import NeedleAround
 from agents.planner.pulling.segments import meant_by
-from agents.planner.pulling.stopping import decide, straight
+from agents.planner.pulling.stopping import at_least, decide, straight
 from agents.planner.pulling.strands import strands_of
 from agents.planner.pulling.way import jaw_of
 from schemas.messages import GraspPlan, Phase, PullStop, Status, Tail, ThreadReconstruction
@@ -34,10 +36,11 @@ def tail_of(
     told = plan.plan_id, plan.arm, thread.stamp
     held = reached in HOLDS or (reached is None and plan.waypoints[0].phase is Phase.PULL)
     try:
-        strands = strands_of(thread, config, meant_by(pull), needle)
+        strands = strands_of(thread, config, meant_by(pull, held), needle)
         grip, jaw = pull.grip if held else None, jaw_of(T_camera_tool, plan.depth_m or 0.0)
         is_straight = grip is not None and straight(strands, jaw, config)
-        verdict = decide(pull.tail_m, strands, grip, jaw, is_straight, config)
+        strands = replace(strands, tail=at_least(strands, grip, jaw, pull.shortest_m, config))
+        verdict = decide(pull.tail_m, strands, grip, jaw, is_straight, config, pull.segment > 1)
     except NoGraspError as error:
         # jaws that pull rest until the tail is measured again
         stop = PullStop.END_UNSEEN if held else None

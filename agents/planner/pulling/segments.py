@@ -19,7 +19,18 @@ from agents.planner.captures import AS_LIKELY, ArmView
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError
 from agents.planner.plan import plan_grasp
-from agents.planner.pulling.stopping import MM, NEAREST_M, Verdict, decide, in_words, left_m, straight, travelled_m
+from agents.planner.pulling.stopping import (
+    MM,
+    NEAREST_M,
+    Verdict,
+    at_least,
+    decide,
+    in_words,
+    left_m,
+    seen_again,
+    shortest_after,
+    straight,
+)
 from agents.planner.pulling.strands import SAMPLES, Meant, Strands, strands_of
 from agents.planner.pulling.tail import tail_length
 from agents.planner.pulling.way import Around, Situation, clear_until, clear_way_end, jaw_of, lift_of, moved
@@ -80,31 +91,33 @@ def go_on(
     was = plan.pull
     assert was is not None and was.tail_m is not None  # noqa: S101 - asked of pulls that go on alone
     try:
-        strands = strands_of(thread, config, meant_by(was), around.needle)
+        strands = strands_of(thread, config, meant_by(was, was.grip is not None), around.needle)
         depth_m = plan.depth_m or 0.0
         jaw = jaw_of(arm.T_camera_tool, depth_m)
         is_straight = was.grip is not None and straight(strands, jaw, config)
-        verdict = decide(was.tail_m, strands, was.grip, jaw, is_straight, config)
+        strands = replace(strands, tail=at_least(strands, was.grip, jaw, was.shortest_m, config))
+        verdict = decide(was.tail_m, strands, was.grip, jaw, is_straight, config, begun=True)
     except NoGraspError:
         return None
     here = Situation(strands, arm, config, around)
     if verdict.stop is PullStop.END_UNSEEN or (was.grip is None and verdict.stop is None and strands.standing is None):
         return None
     named = f"pull-{plan.goal_id}.{was.segment + 1}"
-    pull = _pull(was.tail_m, was.segment + 1, strands, was.grip, verdict.sentence)
+    grip = None if was.grip is None else seen_again(was.grip, strands.tail, jaw)
+    pull = _pull(was.tail_m, was.segment + 1, strands, grip, verdict.sentence, was.shortest_m)
     if verdict.stop is not None:
         return _over(plan, named, thread, arm, config, pull, verdict)
-    if was.grip is None:
+    if grip is None:
         try:
             header = CommandHeader(plan.goal_id, 0, "planner")
             again = _grasped(named, header, plan.arm, pull, here)
         except NoGraspError as error:
             return _over(plan, named, thread, arm, config, pull, Verdict(PullStop.NO_WAY, str(error)))
         return replace(again, continues=plan.plan_id)
-    ahead = clear_until(arm.T_camera_tool, was.grip.way_end_camera, depth_m, here)
-    run_m = min(left_m(strands.tail, was.tail_m), config.pull_segment_m)
-    away_m = max(float(np.linalg.norm(jaw - was.grip.entry_camera)), _surely_m(was.grip)) + run_m
-    target = _target(jaw, ahead, was.grip.entry_camera, away_m, config)
+    ahead = clear_until(arm.T_camera_tool, grip.way_end_camera, depth_m, here)
+    run_m = min(left_m(strands.tail, was.tail_m, config), config.pull_segment_m)
+    away_m = max(float(np.linalg.norm(jaw - grip.entry_camera)), _surely_m(grip)) + run_m
+    target = _target(jaw, ahead, grip.entry_camera, away_m, config)
     if np.linalg.norm(target - jaw) < NEAREST_M:
         used = f"the way is used up, so that the jaws let go and grasp anew: {in_words(strands.tail)}"
         return _over(plan, named, thread, arm, config, pull, Verdict(None, used))
@@ -129,17 +142,27 @@ def let_go_unseen(
     return _over(plan, f"pull-{plan.goal_id}.{was.segment + 1}", thread, arm, config, pull, Verdict(None, why))
 
 
-def meant_by(pull: Pull) -> Meant:
-    """Which exit and entry are those of a pull that is under way."""
+def meant_by(pull: Pull, held: bool) -> Meant:
+    """Which exit and entry are those of a pull that is under way; while its strand is held the tail may get shorter."""
     if pull.exit is None or pull.entry is None:
         return Meant()
     longest_m = None if pull.tail is None else pull.tail.interval_m[1]
-    return Meant(None, pull.exit.point_camera, pull.entry.point_camera, pull.shortest_m, longest_m)
+    shortest_m = None if held else pull.shortest_m
+    return Meant(None, pull.exit.point_camera, pull.entry.point_camera, shortest_m, longest_m)
 
 
-def _pull(tail_m: float, segment: int, strands: Strands, grip: PullGrip | None, sentence: str) -> Pull:
+def _pull(
+    tail_m: float,
+    segment: int,
+    strands: Strands,
+    grip: PullGrip | None,
+    sentence: str,
+    shortest_m: float | None = None,
+) -> Pull:
     seen = strands.tail, strands.free_end, strands.exit, strands.entry
-    return Pull(tail_m, segment, *seen, grip, None, last=False, stop=None, sentence=sentence)
+    # until jaws take hold nothing makes the tail shorter
+    low_m = max(strands.tail.interval_m[0], shortest_m or 0.0) if grip is None else None
+    return Pull(tail_m, segment, *seen, grip, None, last=False, stop=None, sentence=sentence, shortest_m=low_m)
 
 
 def _grasped(name: str, header: CommandHeader, arm_name: str, pull: Pull, here: Situation) -> GraspPlan:
@@ -194,7 +217,7 @@ def _pulling(grasp: GraspPlan, s: float, pull: Pull, here: Situation) -> GraspPl
     covariance = thread_covariance(line.thread, line.curve, between)
     assert covariance is not None  # noqa: S101 - strands are of a thread that tells it
     strand = tail_length(line.curve.points(between), covariance, config.correlation_m)
-    run_m = min(left_m(strands.tail, pull.tail_m or 0.0), config.pull_segment_m)
+    run_m = min(left_m(strands.tail, pull.tail_m or 0.0, config), config.pull_segment_m)
     if way_end is None or np.linalg.norm(way_end - entry) < strand.length_m + run_m:
         return None
     jaw = jaw_of(T_grasp, depth_m)
@@ -256,14 +279,6 @@ def _target(
     return places[int(np.argmax(enough))] if enough.any() else places[-1]
 
 
-def _shortest_m(pull: Pull, jaw: Float64[np.ndarray, "3"], config: PlannerConfig) -> float | None:
-    """As long as the tail is at least where the jaws let go: what they did not take since they grasped."""
-    if pull.grip is None:
-        return pull.shortest_m
-    took_m = travelled_m(pull.grip, jaw) + SIGMAS_95 * float(np.hypot(pull.grip.deviation_m, config.tool_error_m))
-    return max(pull.grip.tail.interval_m[0] - took_m, 0.0)
-
-
 def _surely_m(grip: PullGrip) -> float:
     """a⁻."""
     return max(grip.strand_m - SIGMAS_95 * grip.deviation_m, 0.0)
@@ -281,13 +296,15 @@ def _over(
     """Let go of what is held: for good where the verdict says to stop, else to grasp anew."""
     was = plan.pull
     held = was is not None and was.grip is not None
+    # of what is not measured now the entry is that of a frame before
+    seen = None if was is None or pull.entry is was.entry else pull.entry
     freed = replace(
         pull,
         grip=None,
         last=verdict.stop is not None,
         stop=verdict.stop,
         sentence=verdict.sentence,
-        shortest_m=None if was is None else _shortest_m(was, jaw_of(arm.T_camera_tool, plan.depth_m or 0.0), config),
+        shortest_m=shortest_after(pull, jaw_of(arm.T_camera_tool, plan.depth_m or 0.0), seen, config),
     )
     opened = float(np.radians(config.open_deg))
     stays = (Waypoint(arm.T_camera_tool, opened, Phase.RELEASE, None),)

@@ -8,15 +8,18 @@ while the strand between entry and jaws is slack; where that is straight, it is 
 tension. What grew, or became shorter than the jaws can have made it, by more than the deviations is not the tail:
 another course was taken for the thread's, and nothing is measured.
 
-Where the free end is not seen any more the tail is still at least as long as what is seen of it, and the entry, which a
-knot draws along, tells whether thread is held: while at least a segment more is to run, jaws pull on.
+Where the free end is not seen any more, as where a stiff tail swings out of the view, the tail is still at least as
+long as what is seen of it, and as what was left of it if all that the jaws can have taken ran (`at_least`). The entry,
+which a knot draws along, tells whether thread is held. While more is to run by that bound, jaws pull on. Nothing is
+claimed of such a tail but its bound.
 
 How much may run, r, is what the lower bound of the tail's interval is above what was asked for; or what its upper bound
 is above that and WITHIN_M, where that is more and the interval is so narrow that all of it lies within WITHIN_M then.
-Where r is used up and it is wider, nothing is claimed.
+Where r is used up and it is wider, nothing is claimed. Of a tail whose end is not seen r is what its bound is above what
+was asked for less WITHIN_M, so that it surely becomes no shorter than that.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -26,7 +29,7 @@ from agents.planner.curve import NoGraspError
 from agents.planner.pulling.strands import GIVES_M, SAMPLES, Strands
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
-from schemas.messages import EndSight, PullGrip, PullStop, TailLength
+from schemas.messages import EndSight, Pull, PullGrip, PullStop, StrandEnd, TailLength
 from schemas.messages.pulling import SIGMAS_95
 
 NEAREST_M = 0.0005
@@ -51,6 +54,58 @@ class Verdict:
     travelled_m: float | None = None
 
 
+def at_least(
+    strands: Strands,
+    grip: PullGrip | None,
+    jaw_camera: Float64[np.ndarray, "3"],
+    shortest_m: float | None,
+    config: PlannerConfig,
+) -> TailLength:
+    """The tail, where its free end is not seen as long as it is at least by what was measured before.
+
+    Args:
+        grip: of what the jaws hold since it was measured; None while they hold nothing.
+        shortest_m: as long as it was at least when they let go of it, deviations included; None before.
+    """
+    tail = strands.tail
+    if not tail.at_least:
+        return tail
+    bounds = [tail]
+    if grip is not None:
+        bounds.append(TailLength(*_not_taken_m(grip, strands.entry, jaw_camera, config), at_least=True))
+    elif shortest_m is not None:
+        bounds.append(TailLength(shortest_m, 0.0, at_least=True))
+    return max(bounds, key=lambda bound: bound.interval_m[0])
+
+
+def shortest_after(
+    pull: Pull, jaw_camera: Float64[np.ndarray, "3"], entry: StrandEnd | None, config: PlannerConfig
+) -> float | None:
+    """As long as the tail is at least where the jaws let go: what they cannot have taken since they grasped.
+
+    Args:
+        entry: as it is seen now; None where it is not.
+    """
+    if pull.grip is None:
+        return pull.shortest_m
+    left_m, deviation_m = _not_taken_m(pull.grip, entry, jaw_camera, config)
+    return max(left_m - SIGMAS_95 * deviation_m, 0.0)
+
+
+def _not_taken_m(
+    grip: PullGrip, entry: StrandEnd | None, jaw_camera: Float64[np.ndarray, "3"], config: PlannerConfig
+) -> tuple[float, float]:
+    """What the jaws left of the tail if all that they can have taken ran, with its deviation.
+
+    Thread lies straight from the entry to the jaws while it runs, and tissue that follows it has run by that much less.
+    """
+    seen = entry is not None and entry.sight is EndSight.SEEN
+    place = entry.point_camera if entry is not None and seen else grip.entry_camera
+    took_m = max(float(np.linalg.norm(jaw_camera - place)) - grip.strand_m, 0.0)
+    deviation_m = np.linalg.norm([grip.tail.deviation_m, grip.deviation_m, config.tool_error_m])
+    return max(grip.tail.length_m - took_m, 0.0), float(deviation_m)
+
+
 def decide(
     tail_m: float,
     strands: Strands,
@@ -58,44 +113,54 @@ def decide(
     jaw_camera: Float64[np.ndarray, "3"],
     is_straight: bool,
     config: PlannerConfig,
+    begun: bool = False,
 ) -> Verdict:
     """Whether to go on pulling until the tail is so long.
 
     Args:
+        strands: with the tail as `at_least` has it.
         grip: of what the jaws hold; None while they hold nothing.
         jaw_camera: where the held thread is now.
         is_straight: the strand between entry and jaws, as `straight` tells.
+        begun: the tail was measured to its end before, in this pull; where jaws hold it, it was.
 
     Raises:
         NoGraspError: where what is taken for the tail cannot be it.
     """
     tail = strands.tail
     told = in_words(tail)
-    both, ran_m, took_m, unsure_m = "", None, None, 0.0
+    both, ran_m, took_m, unsure_m, drawn_m = "", None, None, 0.0, 0.0
     if grip is not None:
-        ran_m = grip.tail.length_m - tail.length_m
         took_m = travelled_m(grip, jaw_camera)
+        drawn_m = float(np.linalg.norm(strands.entry.point_camera - grip.entry_camera))
         deviations = tail.deviation_m, grip.tail.deviation_m, grip.deviation_m, config.tool_error_m
         unsure_m = SIGMAS_95 * float(np.linalg.norm(deviations))
+        ran_m = grip.tail.length_m - tail.length_m
         took = f"{MM * took_m:.1f} (± {MM * unsure_m:.1f})"
         both = f"; the tail shortened by {MM * ran_m:.1f} mm where the jaws took {took}"
-        if ran_m < -unsure_m or (ran_m > took_m + unsure_m and not tail.at_least):
+        grew, shrank = ran_m < -unsure_m, ran_m > took_m + unsure_m
+        if (grew and not grip.tail.at_least) or (shrank and not tail.at_least):
             raise NoGraspError(f"what is taken for the tail is not the one that is pulled: {told}{both}")
+        if grip.tail.at_least:
+            both, ran_m = "", None
     low_m, high_m = tail.interval_m
-    if grip is not None and high_m is None and low_m - tail_m >= config.pull_segment_m:
-        drawn_m = float(np.linalg.norm(strands.entry.point_camera - grip.entry_camera))
-        if strands.entry.sight is EndSight.SEEN and drawn_m <= GIVES_M + unsure_m:
-            return Verdict(None, f"{told}, and the jaws drew the entry by {MM * drawn_m:.1f} mm", None, took_m)
-    if strands.free_end.sight is not EndSight.SEEN:
+    is_drawn = strands.entry.sight is EndSight.SEEN and drawn_m > GIVES_M + unsure_m
+    drew = f"{told}, and the jaws drew the entry by {MM * drawn_m:.1f} mm"
+    if high_m is None:
+        goes_on = (begun or grip is not None) and strands.entry.sight is EndSight.SEEN and not is_drawn
+        if goes_on and left_m(tail, tail_m, config) > NEAREST_M:
+            return Verdict(None, drew, None, took_m)
         why = "hidden" if strands.free_end.sight is EndSight.HIDDEN else "out of view"
         return Verdict(PullStop.END_UNSEEN, f"the free end is {why}: {told}, and whether it runs cannot be told")
     if low_m <= config.least_tail_m:
         return Verdict(PullStop.FREE_END_NEAR, f"the free end comes near the tissue: {told}")
-    if left_m(tail, tail_m) <= NEAREST_M:
+    if left_m(tail, tail_m, config) <= NEAREST_M:
         asked = f"{told}, and {MM * tail_m:.1f} mm were asked for"
-        if high_m is None or high_m - low_m > 2.0 * WITHIN_M:
+        if high_m - low_m > 2.0 * WITHIN_M:
             return Verdict(PullStop.END_UNSEEN, f"{asked}, which is not known well enough: look from nearer")
         return Verdict(PullStop.REACHED, asked)
+    if ran_m is None and is_drawn:
+        return Verdict(PullStop.TENSION, f"{drew}: it is held in the tissue", None, took_m)
     if ran_m is None or took_m is None or took_m - ran_m <= unsure_m + GIVES_M:
         return Verdict(None, f"{told}{both}", ran_m, took_m)
     if is_straight:
@@ -105,15 +170,24 @@ def decide(
     return Verdict(PullStop.NOT_RUNNING, slips, ran_m, took_m)
 
 
+def seen_again(grip: PullGrip, tail: TailLength, jaw_camera: Float64[np.ndarray, "3"]) -> PullGrip:
+    """A grip from where its tail is seen to its end now, which was not when it was grasped; else as it is."""
+    if tail.at_least or not grip.tail.at_least:
+        return grip
+    return replace(grip, strand_m=grip.strand_m + travelled_m(grip, jaw_camera), tail=tail)
+
+
 def travelled_m(grip: PullGrip, jaw_camera: Float64[np.ndarray, "3"]) -> float:
     """How much of the strand must have run out by where the jaws are."""
     return max(0.0, float(np.linalg.norm(jaw_camera - grip.entry_camera)) - grip.strand_m)
 
 
-def left_m(tail: TailLength, tail_m: float) -> float:
+def left_m(tail: TailLength, tail_m: float, config: PlannerConfig) -> float:
     """r."""
     low_m, high_m = tail.interval_m
-    if high_m is None or high_m - low_m > 2.0 * WITHIN_M:
+    if high_m is None:
+        return low_m - max(tail_m - WITHIN_M, config.least_tail_m)
+    if high_m - low_m > 2.0 * WITHIN_M:
         return low_m - tail_m
     return max(low_m, high_m - WITHIN_M) - tail_m
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import NoGraspError, ThreadCurve, curve_of, pixels
+from agents.planner.curve import NoGraspError, ThreadCurve, curve_of, pixels, unit_vectors
 from agents.planner.needle import NeedleAround
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
@@ -132,12 +132,13 @@ def strands_of(
         raise NoGraspError("the reconstruction does not tell how well it knows the thread, so no tail can be measured")
     bites = [bite for line in lines for bite in _on_one_curve(line)] + [*_between(lines)]
     alone = [bite for line in lines for bite in _alone(line, meant, config)]
+    bites, alone = ([_may_go_on(bite, lines) for bite in some] for some in (bites, alone))
     curve = lines[0].curve
     bite = _meant(bites, alone, curve, config, meant, needle)
     depth_m = float(np.mean([bite.free_end.point_camera[2], bite.exit.point_camera[2]]))
     hidden = bite.free_end.sight is not EndSight.SEEN
     # beyond the border nothing is seen, and what is told of it is a guess
-    gone = np.flatnonzero(~_inside(curve, bite.points)) if hidden else np.zeros(0, int)
+    gone = np.flatnonzero(~inside(curve, bite.points)) if hidden else np.zeros(0, int)
     shown = slice(int(gone[-1]) + 1 if len(gone) else 0, None)
     tail = tail_length(
         bite.points[shown], bite.covariance[shown], config.correlation_m, END_PX * depth_m / curve.camera.fx_px, hidden
@@ -173,6 +174,19 @@ def _between(lines: Sequence[Line]) -> Iterator[_Bite]:
         (tail, out), (standing, into) = ends[k], ends[other]
         if tail is not standing and nearest[other] == k and LEAST_GAP_M <= apart_m[k, other] <= MOST_GAP_M:
             yield _bite((tail, 1.0 - out, out), (standing, into, 1.0 - into))
+
+
+def _may_go_on(bite: _Bite, lines: Sequence[Line]) -> _Bite:
+    """The same bite, its tail's free end hidden where that and an end of another curve face each other nearby."""
+    tip, into = bite.points[0], unit_vectors(bite.points[0] - bite.points[1])
+    for line in lines:
+        for s, next_to in ((0.0, 1e-3), (1.0, 1.0 - 1e-3)):
+            end, inner = line.curve.points(np.array([s, next_to]))
+            way = end - tip
+            faces = way @ into > 0 and way @ (inner - end) > 0 and np.linalg.norm(way) <= MOST_GAP_M
+            if faces and line is not bite.of_tail and bite.free_end.sight is EndSight.SEEN:
+                return replace(bite, free_end=replace(bite.free_end, sight=EndSight.HIDDEN))
+    return bite
 
 
 def _may_go_in(line: Line, s: float) -> bool:
@@ -305,10 +319,10 @@ def _hides(thread: ThreadReconstruction, curve: ThreadCurve, which: int) -> bool
 
 
 def _in_view(curve: ThreadCurve, point: Float64[np.ndarray, "3"]) -> EndSight:
-    return EndSight.SEEN if _inside(curve, point[None])[0] else EndSight.OUT_OF_VIEW
+    return EndSight.SEEN if inside(curve, point[None])[0] else EndSight.OUT_OF_VIEW
 
 
-def _inside(curve: ThreadCurve, points: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+def inside(curve: ThreadCurve, points: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
     """Which places lie in both images, and not at the border of one."""
     last = np.array([curve.camera.image_width, curve.camera.image_height]) - 1.0 - BORDER_PX
     left, right = pixels(curve, points)

@@ -3,7 +3,8 @@
 From where they grasped, the jaws lift back along their fingers, and then go straight on: away from the entry, up from
 the tissue by some angle, and to one side of that by another. Of these ways the one on which the jaws get farthest from
 the entry is taken, of equals the one with the least turns. Along it the tool keeps its attitude. It is followed in
-steps of a millimetre until it is not reachable, would take the jaws beyond the bounds or nearer to the entry again,
+steps of a millimetre until it is not reachable, would take the jaws out of the view of an eye, beyond the bounds or
+nearer to the entry again,
 brings fingers, wrist or shaft too near to thread, needle or another instrument, or closed fingers to the tissue.
 
 What does not count as thread in the way is what the jaws hold, and the loose strand behind them that they take along.
@@ -20,7 +21,7 @@ from agents.planner.config import PlannerConfig
 from agents.planner.curve import unit_vectors
 from agents.planner.jaws import SHAFT_M, SHAFT_RADIUS_M, aside_pass, clearances, instrument_at, nearest_to_tissue
 from agents.planner.needle import NeedleAround
-from agents.planner.pulling.strands import Strands
+from agents.planner.pulling.strands import Strands, inside
 from agents.planner.tissue_clearance import SeenTissue
 from shared.kinematics.psm import FINGER_M
 
@@ -109,6 +110,7 @@ def clear_until(
     jaws = jaw_of(poses, depth_m)
     off_m = np.linalg.norm(jaws - entry, axis=1)
     open_ = (off_m <= here.config.pull_reach_m) & (np.diff(off_m, prepend=_from(jaw, entry)) >= 0)
+    open_ &= inside(here.strands.line.curve, jaws)
     open_ &= np.asarray(here.arm.reachable(poses), bool) & _clear_of_all(poses, jaws, here)
     far = len(open_) if open_.all() else int(np.argmin(open_))
     return jaws[far - 1] if far else jaw

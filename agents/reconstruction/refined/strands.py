@@ -3,18 +3,25 @@
 A thread that passes through tissue is several threads to a camera, and nobody but whoever asks for a pull knows that
 they are one. A strand of it becomes shorter or longer from frame to frame and slides along itself, where a track keeps
 length and places. So none of these curves goes on from a frame before, that of the thread that is meant included.
+Pieces that lie farther apart than a crossing or a glint explains are strands of their own, for nobody sees what joins
+them.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from agents.reconstruction.refined.crossings import CANDIDATE_PX, STRANGE_WIDTHS
 from agents.reconstruction.refined.method import reconstruct_refined
 from schemas.messages import Centrelines, Status, ThreadObservations, ThreadReconstruction
 
+APART_WIDTHS = 5.0
+"""Of the thread, between pieces of one strand: some 2 mm, the least bite of tissue that a planner looks for."""
 Pair = tuple[Centrelines, Centrelines]
 MOST_GAP_M = 0.02
 """Of tissue between strands of one thread, with what the view adds; the planner joins no ends more than 15 mm apart."""
@@ -27,11 +34,16 @@ def with_strands(thread: ThreadReconstruction, observations: ThreadObservations)
     """
     apart = [(strand.centrelines_left, strand.centrelines_right) for strand in observations.strands]
     mine = observations.centrelines_left, observations.centrelines_right
-    left = [(_along(mine[0], other.left_px), _along(mine[1], other.right_px)) for other in thread.other_threads]
+    left: list[Pair] = []
+    for other in thread.other_threads:
+        along = _along(mine[0], other.left_px), _along(mine[1], other.right_px)
+        left.append((_only(mine[0], along[0]), _only(mine[1], along[1])))
+        mine = _only(mine[0], ~along[0]), _only(mine[1], ~along[1])
     others = [lines for lines in (*apart, *left) if len(lines[0].piece) and len(lines[1].piece)]
-    if not any(_may_be_one(mine[0], lines[0], thread) for lines in others):
+    if not len(mine[0].piece) or not any(_may_be_one(mine[0], lines[0], thread) for lines in others):
         return thread
-    made = [reconstruct_refined(_alone(observations, lines)) for lines in (mine, *others)]
+    parts = [(part, right) for lines, right in (mine, *others) for part in _parts(lines)]
+    made = [reconstruct_refined(_alone(observations, lines)) for lines in parts]
     return replace(thread, strands=tuple(each.as_strand for each in made if each.status is Status.OK))
 
 
@@ -52,6 +64,18 @@ def _ends_px(lines: Centrelines) -> Float64[np.ndarray, "e 2"]:
     return lines.point_px[np.concatenate((begins, np.append(begins[1:], len(lines.piece)) - 1))]
 
 
+def _parts(lines: Centrelines) -> Iterator[Centrelines]:
+    """Pieces that lie end to end, together."""
+    pieces = np.cumsum(np.diff(lines.piece, prepend=-1) != 0) - 1
+    ends = _ends_px(lines)
+    count = len(ends) // 2
+    near = cKDTree(ends).query_pairs(APART_WIDTHS * float(np.median(lines.width_px)), output_type="ndarray")
+    linked = coo_array((np.ones(len(near)), (near[:, 0] % count, near[:, 1] % count)), (count, count))
+    together = connected_components(linked, directed=False)[1]
+    for part in range(int(together.max(initial=-1)) + 1):
+        yield _only(lines, together[pieces] == part)
+
+
 def _alone(observations: ThreadObservations, lines: Pair) -> ThreadObservations:
     """Observations of these lines as if they were those of the thread that is meant."""
     left, right = lines
@@ -59,14 +83,14 @@ def _alone(observations: ThreadObservations, lines: Pair) -> ThreadObservations:
     return replace(observations, centrelines_left=left, centrelines_right=right, **none)
 
 
-def _along(lines: Centrelines, other_px: Float64[np.ndarray, "n 2"]) -> Centrelines:
-    """The pieces that lie along another thread for the most part."""
+def _along(lines: Centrelines, other_px: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, "m"]:
+    """Which points are of pieces that lie along another thread for the most part."""
     if not len(other_px) or not len(lines.piece):
-        return _only(lines, np.zeros(len(lines.piece), bool))
+        return np.zeros(len(lines.piece), bool)
     reach_px = CANDIDATE_PX + STRANGE_WIDTHS * float(np.median(lines.width_px))
     near = np.asarray(cKDTree(other_px).query(lines.point_px)[0]) <= reach_px
     number = np.cumsum(np.diff(lines.piece, prepend=lines.piece[0]) > 0)
-    return _only(lines, (np.bincount(number, near) > 0.5 * np.bincount(number))[number])
+    return (np.bincount(number, near) > 0.5 * np.bincount(number))[number]
 
 
 def _only(lines: Centrelines, kept: Bool[np.ndarray, "n"]) -> Centrelines:

@@ -23,6 +23,8 @@ ITERATIONS, DONE_MM, LONGEST_MM = 40, 1e-5, 2.0
 """Of Newton's method: how many, what change ends it, and how far a node goes in one of them."""
 PINNED = 1e4
 """Stiffness that keeps a node in its place, in N/mm; a thread's own is 50 N/mm a segment."""
+USUAL_MM_PER_S, CREEP_MM_PER_S = 5.0, 0.02
+"""Coulomb's friction is found from a speed at which jaws pull, and is viscous below the creep."""
 SHORT, LONG = 0.4, 1.6
 """Beside a hole or a jaw, segments shorter or longer than this, in usual ones, are joined or divided."""
 SLOPE_OVER_MM = 0.5
@@ -38,7 +40,6 @@ class Law:
         weight: N/mm; tissue: stiffness of the tissue beneath a millimetre of it, N/mm².
         friction: Coulomb's coefficient on the tissue's surface.
         bath: viscous drag of a millimetre, N s/mm²: how fast what is free comes to rest.
-        pull: the speed in mm/s at which viscous friction on the surface is Coulomb's.
     """
 
     axial: float
@@ -49,7 +50,6 @@ class Law:
     radius: float
     segment: float
     bath: float = 3e-8
-    pull: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -101,16 +101,20 @@ def rested(strand: Strand, law: Law, surface: Surface, anchors: tuple[Anchor, ..
     before, rest = strand.points, strand.rest
     lumped = 0.5 * (np.append(rest, 0.0) + np.insert(rest, 0, 0.0))
     normals = _normals(surface, before)
-    viscous = _viscosity(strand, law, surface, lumped, normals) / elapsed_s
+    bath = law.bath * np.maximum(lumped, 1e-3)
+    holds = law.friction * law.tissue * lumped * _depth(strand.points, law, surface)
+    across = _EYE - normals[:, :, None] * normals[:, None, :]
+    speed = np.full(len(before), USUAL_MM_PER_S)
     x = before.copy()
     for _ in range(ITERATIONS):
         force, diagonal, next_to, beyond = _elastic(x, strand, law)
-        depth = np.maximum(x[:, 2] + law.radius - depth_at_points(surface, x[:, :2]), 0.0) * -normals[:, 2]
+        depth = _depth(x, law, surface) * -normals[:, 2]
         depth[0] = 0.0
         stiff = law.tissue * lumped
         force[:, 2] += law.weight * lumped
         force += (stiff * depth)[:, None] * normals
         diagonal += (stiff * (depth > 0))[:, None, None] * normals[:, :, None] * normals[:, None, :]
+        viscous = (bath[:, None, None] * _EYE + (holds / speed)[:, None, None] * across) / elapsed_s
         force -= np.einsum("nij,nj->ni", viscous, x - before)
         diagonal += viscous
         for anchor in anchors:
@@ -121,6 +125,8 @@ def rested(strand: Strand, law: Law, surface: Surface, anchors: tuple[Anchor, ..
         x = x + step * min(1.0, LONGEST_MM / max(longest, 1e-12))
         if longest < DONE_MM:
             break
+        along = np.linalg.norm(np.einsum("nij,nj->ni", across, x - before), axis=1)
+        speed = np.maximum(along / elapsed_s, CREEP_MM_PER_S)
     return replace(strand, points=x, bend=_turned(strand.bend, _directions(before), _directions(x)))
 
 
@@ -215,14 +221,9 @@ def _banded(diagonal: Blocks, next_to: Blocks, beyond: Blocks) -> Float64[np.nda
     return bands
 
 
-def _viscosity(
-    strand: Strand, law: Law, surface: Surface, lumped: np.ndarray, normals: Float64[np.ndarray, "n 3"]
-) -> Blocks:
-    """Of the bath, and of friction on the surface, which at the speed of a pull is Coulomb's."""
-    depth = np.maximum(strand.points[:, 2] + law.radius - depth_at_points(surface, strand.points[:, :2]), 0.0)
-    sliding = law.friction * law.tissue * lumped * depth / law.pull
-    across = _EYE - normals[:, :, None] * normals[:, None, :]
-    return (law.bath * np.maximum(lumped, 1e-3))[:, None, None] * _EYE + sliding[:, None, None] * across
+def _depth(points: Float64[np.ndarray, "n 3"], law: Law, surface: Surface) -> Float64[np.ndarray, "n"]:
+    """How deep each node lies in the tissue, along the view."""
+    return np.maximum(points[:, 2] + law.radius - depth_at_points(surface, points[:, :2]), 0.0)
 
 
 def _normals(surface: Surface, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:

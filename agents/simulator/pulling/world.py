@@ -17,7 +17,17 @@ from agents.simulator.contact.world import Pose
 from agents.simulator.field import MM
 from agents.simulator.judgement import OPEN_RAD, Grip, first_grip, followed, touching_rad
 from agents.simulator.pulling.passage import Passage, bite, most_tension
-from agents.simulator.pulling.strand import Anchor, Law, Strand, meshed, rested, strand_along, tensions, with_place
+from agents.simulator.pulling.strand import (
+    CREEP_MM_PER_S,
+    Anchor,
+    Law,
+    Strand,
+    meshed,
+    rested,
+    strand_along,
+    tensions,
+    with_place,
+)
 from agents.simulator.world import LET_GO_RAD
 from schemas.messages import Verdict
 from shared.rendering.stitches import Stitch
@@ -38,8 +48,8 @@ ENOUGH_N, ROUNDS = 1e-3, 6
 """Thread that runs does so until tension is so near to friction, or for so many rounds in a step."""
 LEAST_MM = 0.05
 """Of a strand: what is shorter is gone."""
-QUIET_MM = 1e-5
-"""A strand that moves less in a step rests, until something happens to it."""
+QUIET_MM = CREEP_MM_PER_S * STEP_S
+"""A strand that moves less in a step rests, until something happens to it: friction holds it."""
 
 
 @dataclass(frozen=True)

@@ -198,11 +198,21 @@ async def desk_of(connection, tls=None, audit=lambda *_, **__: None, **around):
 
 def on_thread(share):
     """Where in the window a place of the thread is."""
+    thread = "suturegrasp.picture.thread.px"
+    return _in_window(f"{thread}[Math.round({share} * ({thread}.length - 1))]")
+
+
+def at_pixel(u, v):
+    """Where in the window a pixel of the left image is."""
+    return _in_window(f"[{u}, {v}]")
+
+
+def _in_window(pixel):
     return f"""(() => {{
       scrollTo(0, 0);
-      const {{ thread, canvas, header }} = suturegrasp.picture;
+      const {{ canvas, header }} = suturegrasp.picture;
       const box = canvas.getBoundingClientRect();
-      const [u, v] = thread.px[Math.round({share} * (thread.px.length - 1))];
+      const [u, v] = {pixel};
       return [box.x + (u + 0.5) * box.width / header.width, box.y + (v + 0.5) * box.height / header.height];
     }})()"""
 

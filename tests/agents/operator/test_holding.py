@@ -98,7 +98,9 @@ def test_a_hold_is_sent_before_anything_is_written_down_and_though_nothing_can_b
     effects: list[Effect] = [Noted("a", "released", "a: let go"), *holds]
 
     async def follow():
-        standing_by = StandingBy(Control(), commands, Voice({}, commands.audit), lambda _arm: 0)
+        standing_by = StandingBy(
+            Control(), commands, Voice({}, commands.audit), lambda _arm: 0, lambda _arm, _plan_id: None
+        )
         try:
             standing_by.follow(effects)
         except OSError:

@@ -7,6 +7,7 @@ import asyncio
 import base64
 import hashlib
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,9 +18,9 @@ from agents.cli.experiment.command import JOURNAL
 from agents.cli.page.trials import trials_of
 from agents.experiment.journal import Journal, Protocol
 from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState
-from schemas.topics import EXECUTION, MAIN, PROMPT, ROBOT_STATE, TOOL
+from schemas.topics import EXECUTION, MAIN, PROMPT, ROBOT_STATE, THREAD, TOOL
 from shared.clock import now_ns
-from shared.runtime.agent import Agent, Tick
+from shared.runtime.agent import Agent, Output, Tick
 from shared.runtime.commands import accepted
 from shared.runtime.config import parse_config
 from tests.agents.operator.by_hand import (
@@ -28,12 +29,14 @@ from tests.agents.operator.by_hand import (
     READY,
     HandMadeCamera,
     HandMadeThread,
+    at_pixel,
     before_a_browser,
     followed,
     on_thread,
     patient_bridge,
     patient_planner,
 )
+from tests.agents.planner.pulling.bench import threaded
 from tests.rigs.browser import found
 
 pytestmark = [
@@ -195,6 +198,44 @@ def test_a_prompt_goes_out_by_a_click_and_is_written_down(rig, perception):
     place = pytest.approx((479.5 - 150, 269.5), abs=2)
     assert [told["pixel"] for what, told in audit if what == "prompt"] == [place]
     assert [tuple(pixel) for pixel in perception.pixels] == [place]
+
+
+class BothStrands(HandMadeThread):
+    """A suture out of which no jaws draw thread."""
+
+    def told(self, stamp):
+        return [Output(THREAD, replace(threaded(parted=True), stamp=stamp))]
+
+
+def test_a_pull_is_asked_for_armed_within_its_bounds_and_ends_by_its_own_reason(
+    patient, in_threads, perception, monkeypatch
+):
+    monkeypatch.setattr("agents.operator.control.BEAT_S", 2.0)
+    audit = []
+
+    async def look(page, _emulated):
+        await page.value("document.getElementById('tail').value = 12")
+        await page.click("#pull")
+        await page.click_at(*await page.value(at_pixel(442, 269.5)))
+        await page.until(PLANNED, PATIENT_S)
+        await page.until(says("words", "pull until the tail is 12.0 mm. Look at it"), PATIENT_S)
+        assert await page.value(says("goal", "armed forat most"))
+        assert await page.value(says("goal", "pull until the tail is 12 mm long"))
+        x, y = await page.middle("#press")
+        await page.mouse("mouseMoved", x, y)
+        await page.mouse("mousePressed", x, y)
+        await page.until(MOVES, PATIENT_S)
+        await page.until(says("words", "psm1 pulls ("), PATIENT_S)
+        await page.until(says("words", "has carried out its plan: "), PATIENT_S)
+        assert await page.value(says("goal", "it is held in the tissue"))
+        await page.mouse("mouseReleased", x, y)
+
+    with in_threads(patient, BothStrands(), HandMadeCamera(), perception, patient_planner(), patient_bridge()):
+        before_a_browser(patient, look, audit=lambda what, **told: audit.append((what, told)))
+    assert [told["tail_mm"] for what, told in audit if what == "pull"] == [12]
+    bounds = [told["pull"] for what, told in audit if what == "arm"]
+    assert len(bounds) == 1
+    assert bounds[0]["length_m"] > 0.018
 
 
 def test_goals_of_an_experiment_are_walked_through_and_judged_by_buttons(rig, tmp_path):

@@ -28,6 +28,7 @@ PLAN = {
     "s_capture": 0.2,
     "slide_mm": 12.0,
     "pull": "",
+    "bounds": "",
     "probability": 0.93,
     "attempt": 1,
     "attempts": 3,

@@ -11,7 +11,7 @@ from agents.simulator.pulling.passage import Passage, bite, most_tension
 from agents.simulator.pulling.strand import Anchor, meshed, rested, strand_along, tensions, with_place
 from agents.simulator.pulling.world import STANDING, TAIL, PullWorld, law_of
 from shared.rendering.stitches import Stitch
-from shared.rendering.surface import flat_surface
+from shared.rendering.surface import Surface, flat_surface
 
 GROUND = flat_surface(95.0)
 FAR = flat_surface(500.0)
@@ -86,6 +86,21 @@ def test_a_clamped_strand_sags_as_a_beam_does():
         strand = rested(strand, LAW, FAR, clamped, 0.1)
     sag = LAW.weight * (length - LAW.segment / 2) ** 4 / (8 * LAW.bending)
     assert strand.points[-1, 2] - 50.0 == pytest.approx(sag, rel=0.1)
+
+
+@pytest.mark.parametrize(("slope_deg", "stays"), [(14.0, True), (20.0, False)])
+def test_a_strand_on_a_slope_stays_below_the_angle_of_friction_and_slides_above_it(slope_deg, stays):
+    y = np.arange(-40.0, 41.0)
+    depth = np.tile(95.0 + np.tan(np.radians(slope_deg)) * y[:, None], (1, 2)).astype(np.float32)
+    slope = Surface(depth, 0.0, -40.0, 1.0)
+    x = np.arange(0.0, 31.0)
+    strand = strand_along(np.column_stack((x, 0 * x, np.full_like(x, 95.0 - RADIUS))), LAW)
+    hole = (Anchor(0, strand.points[0]),)
+    for _ in range(500):
+        strand = rested(strand, LAW, slope, hole, 0.02)
+    assert np.degrees(np.arctan(LAW.friction)) == pytest.approx(16.7, abs=0.1)
+    fell_mm = strand.points[-1, 1]
+    assert fell_mm < 1.0 if stays else fell_mm > 10.0
 
 
 def test_dividing_and_joining_segments_keeps_length_and_the_fixed_node():

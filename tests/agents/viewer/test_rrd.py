@@ -134,6 +134,14 @@ def test_where_the_next_likeliest_course_leads_is_drawn_and_said_only_of_an_unde
         assert course.elsewhere.tolist() == links
 
 
+def test_all_strands_that_may_be_parts_of_one_thread_are_drawn(scene, written):
+    strand = scene.reconstruction.as_strand
+    for strands in ((strand, strand), ()):
+        thread = dataclasses.replace(scene.reconstruction, strands=strands)
+        drawn = written(scene.observations, thread)["/world/thread/strands"]["LineStrips3D:strips"]
+        assert len(drawn) == len(strands)
+
+
 def test_the_edges_of_a_region_are_the_twelve_of_a_block_within_its_bounds(scene):
     regions, centre = scene.reconstruction.regions, scene.reconstruction.regions.centre_camera
     edges = thread_mapping.region_edges(scene.reconstruction.camera, regions)

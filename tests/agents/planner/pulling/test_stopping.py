@@ -7,7 +7,7 @@ import pytest
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError
-from agents.planner.pulling.stopping import decide, straight
+from agents.planner.pulling.stopping import at_least, decide, seen_again, straight
 from agents.planner.pulling.strands import Meant, strands_of
 from schemas.messages import EndSight, PullGrip, PullStop, TailLength
 from tests.agents.planner import bench
@@ -51,7 +51,7 @@ def away(mm):
         (seen(27.0, deviation_mm=1.5), grip(), 18.0, True, None, ""),
         (seen(29.0, EndSight.OUT_OF_VIEW), grip(), 15.0, True, None, "drew the entry by 0.0 mm"),
         (seen(29.0, EndSight.HIDDEN), grip(), 15.0, True, None, "drew the entry by 0.0 mm"),
-        (seen(25.0, EndSight.HIDDEN), grip(), 15.0, True, PullStop.END_UNSEEN, "is hidden: the tail is at least"),
+        (seen(19.0, EndSight.HIDDEN), grip(20.0), 15.0, True, PullStop.END_UNSEEN, "is hidden: the tail is at least"),
         (seen(25.0, EndSight.OUT_OF_VIEW), None, 15.0, True, PullStop.END_UNSEEN, "is out of view"),
         (seen(27.0), None, 15.0, True, None, ""),
     ],
@@ -79,6 +79,37 @@ def test_tissue_that_follows_the_jaws_counts_as_thread_that_does_not_run():
 def test_what_grew_or_became_shorter_than_the_jaws_can_have_made_it_is_not_the_tail(tail_mm):
     with pytest.raises(NoGraspError, match="is not the one that is pulled"):
         decide(0.015, seen(tail_mm), grip(), away(15.0), True, CONFIG)
+
+
+def test_a_tail_whose_end_is_not_seen_is_as_long_as_what_the_jaws_cannot_have_taken_of_it_or_as_what_is_seen():
+    gone = seen(12.0, EndSight.OUT_OF_VIEW)
+    bound = at_least(gone, grip(), away(15.0), None, CONFIG)
+    assert (bound.at_least, bound.length_m) == (True, pytest.approx(0.025, abs=2e-4))
+    assert bound.deviation_m == pytest.approx(np.linalg.norm([3e-4, 1e-4, CONFIG.tool_error_m]))
+    followed = dataclasses.replace(gone.entry, point_camera=gone.entry.point_camera - np.array((0, 0, 0.002)))
+    drawn = at_least(dataclasses.replace(gone, entry=followed), grip(), away(15.0), None, CONFIG)
+    assert drawn.length_m == pytest.approx(0.027, abs=2e-4), "by so much less ran"
+    longer = seen(29.0, EndSight.OUT_OF_VIEW)
+    assert at_least(longer, grip(), away(15.0), None, CONFIG) is longer.tail
+    assert at_least(seen(12.0), grip(), away(15.0), None, CONFIG).length_m == 0.012
+    assert at_least(gone, None, away(15.0), 0.02, CONFIG).interval_m == (0.02, None)
+    assert at_least(gone, None, away(15.0), None, CONFIG) is gone.tail
+
+
+def test_a_pull_that_has_begun_goes_on_by_that_bound_and_knows_what_runs_once_the_end_is_seen_again():
+    gone = seen(25.0, EndSight.OUT_OF_VIEW)
+    assert decide(0.02, gone, None, away(15.0), False, CONFIG, begun=True).stop is None
+    unsure = dataclasses.replace(grip(), tail=TailLength(0.022, 0.0, at_least=True))
+    again = seen(27.0)
+    assert decide(0.02, again, unsure, away(12.0), True, CONFIG).stop is None
+    entry = dataclasses.replace(again.entry, point_camera=again.entry.point_camera - np.array((0, 0, 0.006)))
+    drawn = dataclasses.replace(again, entry=entry)
+    assert decide(0.02, drawn, unsure, away(12.0), True, CONFIG).stop is PullStop.TENSION
+    with pytest.raises(NoGraspError, match="is not the one that is pulled"):
+        decide(0.008, seen(10.0), unsure, away(12.0), True, CONFIG)
+    known = seen_again(unsure, again.tail, away(12.0))
+    assert (known.tail, known.strand_m) == (again.tail, pytest.approx(0.012, abs=2e-4))
+    assert seen_again(grip(), again.tail, away(12.0)).tail == grip().tail
 
 
 def test_a_strand_is_straight_where_it_is_no_longer_than_the_way_to_the_jaws_or_is_not_seen_up_to_them():

@@ -128,6 +128,18 @@ def test_an_end_is_seen_or_hidden_or_out_of_view_or_may_lead_on():
     assert found(threaded(40.0), EXIT_PX).free_end.sight is EndSight.OUT_OF_VIEW
 
 
+def test_an_end_that_faces_the_end_of_another_curve_nearby_may_go_on_there():
+    along = (FREE_MM - EXIT_MM) / np.linalg.norm(FREE_MM - EXIT_MM)
+
+    def sight(begins_mm, ends_mm):
+        other = straight(FREE_MM + begins_mm * along, FREE_MM + ends_mm * along)
+        three = (STANDING.as_strand, TAIL.as_strand, other.as_strand)
+        return found(dataclasses.replace(STANDING, strands=three), EXIT_PX).free_end.sight
+
+    assert sight(10.0, 16.0) is EndSight.HIDDEN
+    assert sight(16.0, 17.0) is EndSight.SEEN, "farther than tissue or a glint hides"
+
+
 def test_what_an_instrument_hides_is_no_bite_of_tissue_nor_is_what_is_too_short_or_too_long():
     thread = threaded(30.0)
     gap = thread.unseen[0]

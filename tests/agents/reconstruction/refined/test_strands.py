@@ -98,6 +98,19 @@ def test_a_strand_that_is_no_thread_is_left_out_and_a_thread_that_fails_leaves_i
     assert off_mm(failed.apart[0], drawn_in(0)) < 0.3
 
 
+def test_pieces_that_nobody_sees_joined_are_strands_of_their_own():
+    first, second = seen(), lines(apart)
+    together = replace(
+        first,
+        centrelines_left=beside(first.centrelines_left, second.centrelines_left),
+        centrelines_right=beside(first.centrelines_right, second.centrelines_right),
+        strands=(lines(drawn_in(0)),),
+    )
+    made = alone(together).apart
+    assert len(made) == 3
+    assert max(min(off_mm(one, shape) for one in made) for shape in (winding, apart, drawn_in(0))) < 0.3
+
+
 def test_threads_whose_ends_are_apart_are_no_strands_of_one_thread():
     assert track(replace(seen(), strands=(lines(apart),)), None).strands == ()
     unknown = replace(both(0), camera=replace(both(0).camera, metres_per_unit=None))
