@@ -15,10 +15,11 @@ from rich.text import Text
 
 from agents.session_report.contents import KeyContents
 from agents.session_report.grasps import Arming, Grasp
+from agents.session_report.pulls import Pulled
 from agents.session_report.session import Session
 from agents.session_report.stages import BEFORE, PERCENTILES, StageTimes, added_ms, percentiles
 from agents.session_report.table import Table, all_printable, first_rows
-from schemas.messages import CommandAnswer, GraspGoal, GraspJudgement, GraspPlan
+from schemas.messages import CommandAnswer, GraspGoal, GraspJudgement, GraspPlan, Tail
 from shared.terminal import printable
 
 FORM = 1
@@ -51,6 +52,7 @@ def document(session: Session) -> dict[str, Any]:
             "track": dict(session.quality.steps),
         },
         "grasps": [_grasp(grasp) for grasp in session.grasps],
+        "pulls": [_pull(pull) for pull in session.pulls],
         "other_commands": [
             {"at_ns": one.at_ns, "topic": one.topic, "answer": _answer(one.answer)} for one in session.other_commands
         ],
@@ -103,6 +105,26 @@ def _goal(goal: GraspGoal) -> dict[str, Any]:
         "point_camera_m": None if goal.point_camera is None else goal.point_camera.tolist(),
         "from_swage_m": goal.from_swage_m,
     }
+
+
+def _pull(pull: Pulled) -> dict[str, Any]:
+    return {
+        "at_ns": pull.at_ns,
+        "arm": pull.arm,
+        "asked_m": pull.asked_m,
+        "answer": _answer(pull.answer),
+        "ended": pull.ended,
+        "segments": list(pull.segments),
+        "grasps": pull.grasps,
+        "armings": [_arming(arming) for arming in pull.armings.values()],
+        "tail": [_tail(captured_ns, tail) for captured_ns, tail in pull.tails],
+    }
+
+
+def _tail(captured_ns: int, tail: Tail) -> dict[str, Any]:
+    assert tail.tail is not None  # noqa: S101 - those that were not measured are left out
+    low_m, high_m = tail.tail.interval_m
+    return {"captured_ns": captured_ns, "length_m": tail.tail.length_m, "low_m": low_m, "high_m": high_m}
 
 
 def _answer(answer: CommandAnswer) -> dict[str, str]:

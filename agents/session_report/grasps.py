@@ -85,7 +85,7 @@ class Grasp:
         no_plan = f"no plan: {self.plan.reason}" if self.plan is not None and self.plan.reason else ""
         if self.armings:
             # of a planner that ran anew the plan may be none, though one was carried out
-            return "; ".join(filter(None, (no_plan, _arming_ended(self.deciding))))
+            return "; ".join(filter(None, (no_plan, arming_ended(self.deciding))))
         return no_plan or ("planned, never armed" if self.plan else "no plan followed")
 
     @property
@@ -109,7 +109,8 @@ class Grasp:
         return (taken or self.armings)[-1]
 
 
-def _arming_ended(arming: Arming) -> str:
+def arming_ended(arming: Arming) -> str:
+    """How what was armed ended in one sentence."""
     if arming.judgement is not None:
         return arming.judgement.sentence
     if arming.answer.outcome is Outcome.REFUSED:
@@ -139,7 +140,7 @@ class OtherCommand:
 
 
 class GraspCollector:
-    """Puts together, message by message, what belongs to one goal."""
+    """Puts together, message by message, what belongs to one goal to grasp."""
 
     topics: tuple[Topic, ...] = (COMMANDS, PLAN, EXECUTION, JUDGEMENT)
 

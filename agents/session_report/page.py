@@ -169,7 +169,7 @@ def _session_parts(session: Session, pictures: list[Picture]) -> Iterator[str]:
     yield from map(paragraph, head_lines(session))
     yield from session_charts(session)
     tables = session_tables(session)
-    of_grasps = [table for table in tables if table.title in ("grasps", "armed")]
+    of_grasps = [table for table in tables if table.title in ("grasps", "pulls", "armed")]
     yield from map(table_html, of_grasps)
     yield from _pictures(session, pictures)
     yield from (table_html(table) for table in tables if table not in of_grasps)
@@ -194,9 +194,19 @@ def session_charts(session: Session) -> Iterator[str]:
     yield chart("messages a second", rates, end_s, marks)
     yield chart("mean confidence along the thread", [_confidence(session, "confidence")], end_s, marks, ceiling=1.0)
     yield chart(*_length(session), end_s, marks)
+    if any(pull.tails for pull in session.pulls):
+        yield chart("tail, mm", _tails(session), end_s, marks)
     arms = [name for name in session.stages if name not in stages]
     if arms:
         yield chart("state of the arm, ms after it was measured", [_latency(session, n, n) for n in arms], end_s, marks)
+
+
+def _tails(session: Session) -> list[Series]:
+    told = [one for pull in session.pulls for one in pull.tails]
+    at_s = np.array([session.since_start_s(captured_ns) for captured_ns, _ in told])
+    bounds = [(tail.tail.length_m, *tail.tail.interval_m) for _, tail in told if tail.tail is not None]
+    values = 1e3 * np.array(bounds, dtype=float)
+    return [Series(name, at_s, values[:, k]) for k, name in enumerate(("length", "at least", "at most"))]
 
 
 def comparison_charts(sessions: list[Session], names: list[str]) -> Iterator[str]:

@@ -18,6 +18,7 @@ from agents.session_report.facts import (
     setting_facts,
 )
 from agents.session_report.grasps import Grasp, GraspCollector, OtherCommand
+from agents.session_report.pulls import PullCollector, Pulled
 from agents.session_report.stages import StageTimes, captured_ns, in_order, stage_of
 from agents.session_report.threads import ThreadQuality
 from schemas.checks import MessageError
@@ -61,6 +62,7 @@ class Session:
     agents: tuple[AgentAccount, ...]
     remarks: tuple[Remark, ...]
     grasps: tuple[Grasp, ...]
+    pulls: tuple[Pulled, ...]
     other_commands: tuple[OtherCommand, ...]
     settings: tuple[Setting, ...]
     quality: ThreadQuality
@@ -88,7 +90,8 @@ class Session:
 
 class _Reading:
     def __init__(self) -> None:
-        self.contents, self.accounts, self.grasps = ContentsCollector(), AccountCollector(), GraspCollector()
+        self.contents, self.accounts = ContentsCollector(), AccountCollector()
+        self.grasps, self.pulls = GraspCollector(), PullCollector()
         self.settings = SettingCollector()
         self.stages: dict[str, StageTimes] = {}
         self.quality = ThreadQuality()
@@ -120,7 +123,7 @@ class _Reading:
         """Take what held before the file began, and counts in the part before it."""
         with contextlib.suppress(MessageError):
             topic = known_topic(entry.key)
-            if topic is not None and topic in (CALIBRATION, CONFIGURATION, SIMULATOR_STATE, *GraspCollector.topics):
+            if topic is not None and topic in (CALIBRATION, CONFIGURATION, SIMULATOR_STATE, *PullCollector.topics):
                 self._add_message(entry, topic, decode(topic.message, entry.payload), before=True)
 
     def _add_message(self, entry: Entry, topic: Topic, message: Any, before: bool = False) -> None:
@@ -138,7 +141,7 @@ class _Reading:
             self.calibration = message
         elif topic is SIMULATOR_STATE:
             self.scene = message
-        elif topic in GraspCollector.topics:
+        elif topic in PullCollector.topics and not self.pulls.take(entry.published_ns, message):
             self.grasps.add(entry.published_ns, message, before)
 
 
@@ -173,6 +176,7 @@ def _session(path: Path, reading: _Reading, damage: str) -> Session:
         agents=agents,
         remarks=reading.accounts.remarks(),
         grasps=tuple(sorted(reading.grasps.grasps, key=lambda grasp: grasp.at_ns)),
+        pulls=reading.pulls.pulls,
         other_commands=tuple(reading.grasps.others),
         settings=tuple(reading.settings.settings),
         quality=reading.quality,

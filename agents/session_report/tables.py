@@ -5,10 +5,11 @@ from datetime import UTC, datetime
 from agents.session_report.contents import KeyContents
 from agents.session_report.facts import is_of_a_moment
 from agents.session_report.grasps import Arming, Grasp, event_name
+from agents.session_report.pulls import Pulled
 from agents.session_report.session import Session
 from agents.session_report.stages import BEFORE, added_ms, percentiles
 from agents.session_report.table import Row, Table, decimal, megabytes, short
-from schemas.messages import CommandAnswer, GraspGoal, Hold, Outcome, Prompt
+from schemas.messages import CommandAnswer, GraspGoal, Hold, Outcome, Prompt, Tail
 from shared.recording.losses import AT
 
 
@@ -22,6 +23,7 @@ def session_tables(session: Session) -> list[Table]:
         drops(session),
         results(session),
         grasps(session),
+        pulls(session),
         phases(session),
         commands(session),
         settings(session),
@@ -254,6 +256,36 @@ def _grasp_row(session: Session, number: int, grasp: Grasp) -> Row:
     of_arm = ended and (grasp.armings or not (grasp.plan is not None and grasp.plan.reason))
     goal = "from before" if grasp.goal is None and grasp.plan_before else goal_text(grasp.goal)
     return str(number), at_s, goal, plan, ended + (_if_of_source(session) if of_arm else "")
+
+
+def pulls(session: Session) -> Table:
+    """Each goal to pull with what its tail came to, and why it ended."""
+    rows = tuple(_pull_row(session, number, pull) for number, pull in enumerate(session.pulls, 1))
+    columns = (" pull", " at s", "arm", " asked mm", " tail mm", " to mm", " segments", " grasps", "came of it")
+    return Table("pulls", columns, rows)
+
+
+def _pull_row(session: Session, number: int, pull: Pulled) -> Row:
+    lengths = [tail_text(tail) for _, tail in pull.tails]
+    return (
+        str(number),
+        f"{session.since_start_s(pull.at_ns):.2f}",
+        pull.arm,
+        "lets go" if pull.asked_m is None else f"{1e3 * pull.asked_m:.1f}",
+        *(lengths[i] if lengths else "" for i in (0, -1)),
+        str(len(pull.segments)),
+        str(pull.grasps),
+        pull.ended + _if_of_source(session),
+    )
+
+
+def tail_text(tail: Tail) -> str:
+    """A tail's length with its interval, in millimetres."""
+    assert tail.tail is not None  # noqa: S101 - those that were not measured are left out
+    low_m, high_m = tail.tail.interval_m
+    if high_m is None:
+        return f"at least {1e3 * low_m:.1f}"
+    return f"{1e3 * tail.tail.length_m:.1f} ({1e3 * low_m:.1f} to {1e3 * high_m:.1f})"
 
 
 def _kinds_anew(session: Session) -> set[str]:

@@ -15,8 +15,8 @@ claimed of such a tail but its bound.
 
 How much may run, r, is what the lower bound of the tail's interval is above what was asked for; or what its upper bound
 is above that and WITHIN_M, where that is more and the interval is so narrow that all of it lies within WITHIN_M then.
-Where r is used up and it is wider, nothing is claimed. Of a tail whose end is not seen r is what its bound is above what
-was asked for less WITHIN_M, so that it surely becomes no shorter than that.
+Where r is used up and it is wider, nothing is claimed. Of a tail whose end is not seen r is what its bound is above
+what was asked for less WITHIN_M, so that it surely becomes no shorter than that.
 """
 
 from dataclasses import dataclass, replace

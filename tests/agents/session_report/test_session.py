@@ -7,14 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agents.planner.agent import Planner
+from agents.planner.config import PlannerConfig
 from agents.session_report.contents import gaps_of
+from agents.session_report.document import document
 from agents.session_report.grasps import GraspCollector
+from agents.session_report.page import session_page
 from agents.session_report.session import read_session
-from agents.session_report.tables import grasps, head_lines, session_tables
+from agents.session_report.tables import grasps, head_lines, pulls, session_tables
 from schemas import messages
-from schemas.topics import ARM, CONFIGURATION, EXECUTION, FRAMES, HEALTH, HOLD, LOG, PLAN, SET, key
+from schemas.topics import ARM, CONFIGURATION, EXECUTION, FRAMES, HEALTH, HOLD, LOG, PLAN, SET, key, topic_of
 from shared.recording.derivation import Anew, Derivation
 from shared.recording.entry import Entry
+from shared.recording.writer import RecordingWriter
+from tests.agents.planner.pulling.bench import Field
 from tests.agents.session_report.conftest import ZERO_NS, event, frame, health, ns, plan
 
 FRAMES_KEY = key("lab", FRAMES)
@@ -226,3 +232,25 @@ def test_a_silence_of_what_comes_regularly_is_a_gap_without_losses():
     (gap,) = gaps_of(at, np.arange(100), is_regular=True)
     assert (gap.lost, gap.to_ns - gap.from_ns) == (0, 51 * 10**7)
     assert gaps_of(at, np.arange(100), is_regular=False) == []
+
+
+def test_a_pull_is_told_with_what_its_tail_came_to_and_is_no_grasp(tmp_path):
+    field = Field(30.0, Planner(PlannerConfig(pull_reach_m=0.026)))
+    plan, answer = field.ask(0.012)
+    assert plan is not None, answer
+    field.arm(plan)
+    assert field.to_the_end().ended[0] is messages.ExecutionKind.FINISHED
+    writer = RecordingWriter(tmp_path / "pull.mcap")
+    for entry in field.steps.entries:
+        writer.write(topic_of(entry.key), entry)
+    writer.note("losses", {"complete": "True"})
+    writer.close()
+    session = read_session(tmp_path / "pull.mcap")
+    (told,) = pulls(session).rows
+    assert (session.grasps, told[2:4], told[7]) == ((), ("psm1", "12.0"), "2")
+    assert told[4].startswith("30.0 (29.3")
+    assert told[8].startswith("reached: the tail is 1")
+    (written,) = document(session)["pulls"]
+    assert len(written["segments"]) == int(told[6]) == len(field.plans)
+    assert written["tail"][-1]["length_m"] < 0.0135
+    assert "tail, mm" in "".join(session_page(session, []))
