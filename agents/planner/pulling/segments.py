@@ -181,7 +181,9 @@ def _grasped(name: str, header: CommandHeader, arm_name: str, pull: Pull, here: 
     best: GraspPlan | None = None
     best_chance, best_grasps = 0.0, 1
     why = f"the standing strand is {MM * long_m:.0f} mm long, too short to be grasped clear of its entry"
-    for from_entry_m in (one for one in FROM_ENTRY_M if one < long_m - config.grasp_arc_m):
+    # beyond where it leaves the view there is more of it
+    reach_m = long_m - (config.grasp_arc_m if here.strands.ends else 0.0)
+    for from_entry_m in (one for one in FROM_ENTRY_M if one < reach_m):
         s = float(entry + (1.0 if far > entry else -1.0) * from_entry_m / line.curve.length_m)
         goal = GraspGoal(header, arm_name, Policy.DIRECT, s, None, None, attempts=1)
         beside = here.strands.tail_points

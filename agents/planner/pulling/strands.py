@@ -72,6 +72,7 @@ class Strands:
         tail: from the free end to the exit.
         line: that the standing strand is a part of; the tail's own where that strand is not seen.
         standing: shares of that line's length at the entry and at the strand's other end; None where it is not seen.
+        ends: that other end is where the strand ends, and not where it leaves the view or something hides it.
         tail_points: along the tail, where that is on another line; none else.
     """
 
@@ -81,6 +82,7 @@ class Strands:
     tail: TailLength
     line: Line
     standing: tuple[float, float] | None
+    ends: bool
     tail_points: Float64[np.ndarray, "k 3"]
 
 
@@ -152,7 +154,8 @@ def strands_of(
         at_least = f"a tail of {1e3 * meant.shortest_m:.1f} mm at least"
         raise NoGraspError(f"of {at_least} only {1e3 * tail.length_m:.1f} mm are seen, though its end seems to be")
     apart = bite.points if bite.of_tail is not bite.line else np.zeros((0, 3))
-    return Strands(bite.free_end, bite.exit, bite.entry, tail, bite.line, bite.standing, apart)
+    ends = bite.far.sight is EndSight.SEEN
+    return Strands(bite.free_end, bite.exit, bite.entry, tail, bite.line, bite.standing, ends, apart)
 
 
 def _on_one_curve(line: Line) -> Iterator[_Bite]:

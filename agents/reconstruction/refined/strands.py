@@ -7,7 +7,7 @@ Pieces that lie farther apart than a crossing or a glint explains are strands of
 them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,23 +40,26 @@ def with_strands(thread: ThreadReconstruction, observations: ThreadObservations)
         left.append((_only(mine[0], along[0]), _only(mine[1], along[1])))
         mine = _only(mine[0], ~along[0]), _only(mine[1], ~along[1])
     others = [lines for lines in (*apart, *left) if len(lines[0].piece) and len(lines[1].piece)]
-    if not len(mine[0].piece) or not any(_may_be_one(mine[0], lines[0], thread) for lines in others):
-        return thread
     parts = [(part, right) for lines, right in (mine, *others) for part in _parts(lines)]
+    if len(parts) < 2 or not _may_be_parted(mine[0], others, thread):
+        return thread
     made = [reconstruct_refined(_alone(observations, lines)) for lines in parts]
     return replace(thread, strands=tuple(each.as_strand for each in made if each.status is Status.OK))
 
 
-def _may_be_one(mine: Centrelines, other: Centrelines, thread: ThreadReconstruction) -> bool:
-    """Whether ends of both lie so near in the left image that tissue may part one thread there, in a known unit."""
+def _may_be_parted(mine: Centrelines, others: Sequence[Pair], thread: ThreadReconstruction) -> bool:
+    """Whether tissue may part one thread, in a known unit: it is no curve, or ends of another one lie near its own."""
     camera = thread.camera
     if camera.metres_per_unit is None:
         return False
     if thread.status is not Status.OK:
         return True
+    if not len(mine.piece):
+        return False
     nearest = float(thread.control_points_camera[:, 2].min())
     reach_px = MOST_GAP_M / camera.metres_per_unit * camera.fx_px / nearest
-    return bool(np.any(cKDTree(_ends_px(mine)).query(_ends_px(other))[0] <= reach_px))
+    ends = cKDTree(_ends_px(mine))
+    return any(bool((ends.query(_ends_px(left))[0] <= reach_px).any()) for left, _ in others)
 
 
 def _ends_px(lines: Centrelines) -> Float64[np.ndarray, "e 2"]:
@@ -66,6 +69,8 @@ def _ends_px(lines: Centrelines) -> Float64[np.ndarray, "e 2"]:
 
 def _parts(lines: Centrelines) -> Iterator[Centrelines]:
     """Pieces that lie end to end, together."""
+    if not len(lines.piece):
+        return
     pieces = np.cumsum(np.diff(lines.piece, prepend=-1) != 0) - 1
     ends = _ends_px(lines)
     count = len(ends) // 2

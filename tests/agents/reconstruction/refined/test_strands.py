@@ -111,6 +111,19 @@ def test_pieces_that_nobody_sees_joined_are_strands_of_their_own():
     assert max(min(off_mm(one, shape) for one in made) for shape in (winding, apart, drawn_in(0))) < 0.3
 
 
+def test_a_thread_of_which_too_little_is_seen_between_its_pieces_leaves_those_as_strands():
+    shapes = [lambda t: winding(0.35 * t), lambda t: winding(0.65 + 0.35 * t)]
+    first, second = seen(shapes[0]), lines(shapes[1])
+    together = replace(
+        first,
+        centrelines_left=beside(first.centrelines_left, second.centrelines_left),
+        centrelines_right=beside(first.centrelines_right, second.centrelines_right),
+    )
+    made = alone(together)
+    assert made.status is Status.FAILED
+    assert max(min(off_mm(one, shape) for one in made.apart) for shape in shapes) < 0.3
+
+
 def test_threads_whose_ends_are_apart_are_no_strands_of_one_thread():
     assert track(replace(seen(), strands=(lines(apart),)), None).strands == ()
     unknown = replace(both(0), camera=replace(both(0).camera, metres_per_unit=None))
