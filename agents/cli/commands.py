@@ -107,7 +107,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "page": _on_rig("the operator's page: see, click, arm, hold", "page.options:Page", "page.command:run"),
         "goal": _on_rig("ask for a grasp: where along the thread", "live.options:Goal", "live.command:goal"),
         "pull": _on_rig(
-            "pull thread through tissue until its tail is short",
+            "pull thread through tissue until its tail is so long",
             "live.options:PullThread",
             "live.pull:pull",
         ),

@@ -316,20 +316,23 @@ def goal_text(goal: GraspGoal | None) -> str:
 def phases(session: Session) -> Table:
     """Each arming with what followed, in seconds since the start of the recording."""
     rows = (
-        _phase_row(session, number, arming)
-        for number, grasp in enumerate(session.grasps, 1)
-        for arming in grasp.armings
+        *(_phase_row(session, str(n), arming) for n, grasp in enumerate(session.grasps, 1) for arming in grasp.armings),
+        *(
+            _phase_row(session, f"pull {n}", arming)
+            for n, pull in enumerate(session.pulls, 1)
+            for arming in pull.armings.values()
+        ),
     )
     return Table("armed", (" grasp", " at s", "clock", "answer", "what followed, at s", "judgement"), tuple(rows))
 
 
-def _phase_row(session: Session, number: int, arming: Arming) -> Row:
+def _phase_row(session: Session, name: str, arming: Arming) -> Row:
     followed = ", ".join(f"{event_name(event)} {session.since_start_s(event.at_ns):.2f}" for event in arming.events)
     at_s, clock = "", ""
     if arming.at_ns is not None:
         at_s, clock = f"{session.since_start_s(arming.at_ns):.2f}", session.clock(arming.at_ns)
     judged = arming.judgement.sentence + _if_of_source(session) if arming.judgement else ""
-    return str(number), at_s, clock, answer_text(arming.answer), followed, judged
+    return name, at_s, clock, answer_text(arming.answer), followed, judged
 
 
 def commands(session: Session) -> Table:

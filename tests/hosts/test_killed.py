@@ -1,4 +1,4 @@
-"""Any one process killed in mid-session: the others survive, the robot holds, and what is started again rejoins."""
+"""A process killed in mid-session: the others survive, what is started again rejoins, and who stands by is missed."""
 
 import pytest
 
@@ -83,8 +83,11 @@ def planned(heard, until):
     return lambda: until(ask, "a plan", GOAL_DEADLINE_S)
 
 
-def test_the_robot_holds_when_the_operator_is_killed_in_mid_motion(heard, processes, planned, until):
-    def in_motion():
+@pytest.fixture
+def in_motion(heard, processes, planned, until):
+    """The id of a plan that is being carried out."""
+
+    def begun():
         """The id of a plan that is carried out. On a machine that stalls, the arm may hold before it is looked at."""
         plan_id = planned().plan_id
         arm = processes.start("arm", plan_id)
@@ -94,7 +97,11 @@ def test_the_robot_holds_when_the_operator_is_killed_in_mid_motion(heard, proces
         )
         return arm.poll() is None and plan_id
 
-    plan_id = until(in_motion, "the arm to move")
+    return until(begun, "the arm to move")
+
+
+def test_the_robot_holds_when_the_operator_is_killed_in_mid_motion(heard, processes, in_motion, until):
+    plan_id = in_motion
     processes.kill("arm")
 
     def held():
@@ -107,6 +114,19 @@ def test_the_robot_holds_when_the_operator_is_killed_in_mid_motion(heard, proces
     assert event.code == "heartbeat_lost"
     until(lambda: RobotMode.HOLDING in modes()[-1:], "a state of it")
     assert RobotMode.MOVING not in modes()
+
+
+def test_a_planner_that_is_killed_in_mid_motion_stops_no_segment_that_is_under_way(heard, processes, in_motion, until):
+    processes.kill("planner")
+
+    def ended():
+        ends = ExecutionKind.FINISHED, ExecutionKind.HELD
+        return [e for e in messages(heard, EXECUTION) if e.plan_id == in_motion and e.kind in ends]
+
+    (event,) = until(ended, "the end of the motion")
+    # a plan of several segments holds once nobody plans the next one
+    assert (event.kind, event.code) in ((ExecutionKind.FINISHED, ""), (ExecutionKind.HELD, "segment"))
+    processes.start("planner")
 
 
 @pytest.mark.parametrize("name", AGENTS)

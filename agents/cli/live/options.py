@@ -83,7 +83,7 @@ class View(OnRig):
     layout: Literal["operate", "perception", "grasp", "timing"] = "operate"
     """What the views are laid out for; all of them show the same."""
     from_: Annotated[str | None, tyro.conf.arg(name="from", metavar="MOMENT")] = None
-    """Where to begin in a recording: seconds from its start (12.5), or a time of its day (14:32:07)."""
+    """Where to begin in a recording: seconds from its start (12.5), a time of its day (14:32:07), or with its date."""
     to: Annotated[str | None, tyro.conf.arg(metavar="MOMENT")] = None
     """Where to end."""
     thin: bool = False
@@ -127,19 +127,22 @@ class Goal(OnRig):
     arm: str = "psm1"
     """Which arm is to grasp."""
     policy: Literal["robust", "direct"] = "robust"
-    """`robust` captures where the thread is known best and slides to the goal; `direct` grasps at the goal."""
+    """`robust` captures where a grasp most likely succeeds and slides to the goal; `direct` grasps at the goal."""
     attempts: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """How often the planner may plan for it where it sees that a grasp missed; each plan must be armed all the same."""
 
 
 @dataclass(frozen=True)
 class PullThread(OnRig):
-    """Ask for a pull: the standing strand away from the tissue until the tail is so long (docs/pulling.md)."""
+    """Ask for a pull: the standing strand away from the tissue until the tail is so long (docs/pulling.md).
+
+    Give `--tail-mm` or `--release`. The plan says with which bounds it is to be armed.
+    """
 
     tail_mm: OptionalNumber = None
     """How long the tail is to be, from its free end to where it comes out of the tissue."""
     exit_pixel: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="U V")] = None
-    """Column and row of the tail's exit, where it cannot be told which strand is the tail."""
+    """Of the tail's exit in the rectified left image, where it cannot be told which strand is the tail."""
     release: bool = False
     """Have the jaws let go of what they hold, and go back, instead."""
     arm: str = "psm1"
@@ -154,14 +157,14 @@ class ArmPlan(OnRig):
     """
 
     plan: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PLAN")] = ""
-    """The plan's id, as `goal` prints it."""
+    """The plan's id, as `goal` or `pull` prints it."""
     arm: str = "psm1"
     """Which arm carries it out."""
     attempts: int = 1
     """How many attempts are armed: the next plan too where it is not held, as long as this command runs, and where the
     arm moves nothing real."""
     pull_mm: OptionalNumber = None
-    """Of a pull: the most that closed jaws may travel in all its segments, as `pull` prints it."""
+    """Of a pull, all three as `pull` prints them: the most that closed jaws may travel in all its segments."""
     pull_seconds: OptionalNumber = None
     """Of a pull: how long it may last."""
     pull_within_mm: OptionalNumber = None

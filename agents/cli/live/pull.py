@@ -1,4 +1,4 @@
-"""Thread pulled through tissue until its tail is short enough: ask for it, and stand by it."""
+"""Thread pulled through tissue until its tail is so long: ask for it, and stand by it."""
 
 import math
 import shlex

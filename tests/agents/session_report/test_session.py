@@ -250,6 +250,8 @@ def test_a_pull_is_told_with_what_its_tail_came_to_and_is_no_grasp(tmp_path):
     assert (session.grasps, told[2:4], told[7]) == ((), ("psm1", "12.0"), "2")
     assert told[4].startswith("30.0 (29.3")
     assert told[8].startswith("reached: the tail is 1")
+    (armed,) = rows_of(session, "armed")
+    assert (armed[0], "finished" in armed[4]) == ("pull 1", True)
     (written,) = document(session)["pulls"]
     assert len(written["segments"]) == int(told[6]) == len(field.plans)
     assert written["tail"][-1]["length_m"] < 0.0135
