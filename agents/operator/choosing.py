@@ -156,16 +156,27 @@ class Choosing:
         return None
 
     def pulled(self, screen: str, said: PullThrough) -> Awaiting:
-        """A goal that thread is pulled through, or let go; what is then to do."""
-        voice, arm = self._voice, said.arm
+        """A goal that thread is pulled through, by the exit in the image that the page showed; what is then to do."""
+        thread = self._field.threads.get(said.frame)
+        if thread is not None and thread.found != self._field.found:
+            self._voice.refuse(screen, FOUND_ANEW)
+            return None
+        return self._pull(screen, said.arm, said.tail_mm, said.exit_pixel)
+
+    def let_go(self, screen: str, arm: str) -> Awaiting:
+        """A goal that jaws let go of thread; what is then to do."""
+        return self._pull(screen, arm, None, None)
+
+    def _pull(self, screen: str, arm: str, tail_mm: float | None, exit_pixel: tuple[float, float] | None) -> Awaiting:
+        voice = self._voice
         if arm not in self._field.arms():
             voice.refuse(screen, "there is no such arm")
             return None
-        if not voice.written(screen, "pull", arm=arm, tail_mm=said.tail_mm, exit_pixel=said.exit_pixel):
+        if not voice.written(screen, "pull", arm=arm, tail_mm=tail_mm, exit_pixel=exit_pixel):
             return None
-        at = None if said.exit_pixel is None else {"px": said.exit_pixel}
-        goal = {"at": None, "exit": at, "tail_mm": said.tail_mm, "others": [], "text": "Planning ...", "goal_id": ""}
-        return self._begin(goal, arm, lambda: self._commands.pull(arm, said.tail_mm, said.exit_pixel))
+        at = None if exit_pixel is None else {"px": exit_pixel}
+        goal = {"at": None, "exit": at, "tail_mm": tail_mm, "others": [], "text": "Planning ...", "goal_id": ""}
+        return self._begin(goal, arm, lambda: self._commands.pull(arm, tail_mm, exit_pixel))
 
     async def prompt(self, screen: str, pixel: tuple[float, float] | None) -> None:
         """Say which thread is meant."""

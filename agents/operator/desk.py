@@ -22,6 +22,7 @@ from agents.operator.wire import (
     GoOn,
     HoldAll,
     Judged,
+    LetGo,
     Look,
     Place,
     Press,
@@ -155,6 +156,8 @@ class Desk:
             case Place(s, arm, policy) if planning := choosing.placed(name, arm, policy, s):
                 start(planning)
             case PullThrough() if planning := choosing.pulled(name, said):
+                start(planning)
+            case LetGo(arm) if planning := choosing.let_go(name, arm):
                 start(planning)
             case PromptAt(pixel):
                 start(choosing.prompt(name, pixel))

@@ -157,6 +157,7 @@ def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:
         "ok": plan.status is Status.OK,
         "reason": plan.reason,
         "pull": plan.pull.sentence if plan.pull is not None else "",
+        "continues": plan.continues,
         "bounds": "" if plan.pull is None or plan.pull.bounds is None else bounds_words(plan.pull.bounds),
         "policy": plan.policy.name.lower().replace("_", "-"),
         "s_goal": plan.s_goal,

@@ -47,7 +47,9 @@ class EventHandler:
             case GraspPlan():
                 if self._field.note_plan(message):
                     panels = self._panels
-                    panels.finished = left_to_judge(panels.finished, message.arm, message.goal_id)
+                    # a pull is no attempt at a grasp, and leaves what is to be judged of one
+                    if message.pull is None:
+                        panels.finished = left_to_judge(panels.finished, message.arm, message.goal_id)
                     self._choosing.planned(message.arm, message.goal_id)
                     self._standing_by.follow(self._control.planned(message.arm, message.plan_id))
             case GraspCheck():
@@ -82,6 +84,7 @@ class EventHandler:
         if not ours:
             self._voice.say(event_words(event))
         plan = self._field.plans.get(event.arm)
-        if event.kind is ExecutionKind.FINISHED and plan is not None and plan["id"] == event.plan_id:
+        is_grasp = plan is not None and plan["id"] == event.plan_id and not plan["pull"]
+        if event.kind is ExecutionKind.FINISHED and plan is not None and is_grasp:
             began_s = self._standing_by.armed_s.pop(event.arming_id, None)
             self._panels.finished[event.arm] = plan, None if began_s is None else monotonic_s() - began_s

@@ -76,16 +76,25 @@ class Place:
 
 @dataclass(frozen=True, config=STRICT)
 class PullThrough:
-    """Thread is to be pulled until its tail is so long; without a length, jaws let go of it where they are.
+    """Thread is to be pulled until its tail is so long.
 
     Fields:
-        exit_pixel: of the rectified left image, where the tail comes out of the tissue; None where that is clear.
+        exit_pixel: of the rectified left image of that frame, where the tail comes out of the tissue.
     """
 
+    frame: Annotated[int, Field(ge=0, lt=1 << 53)]
     arm: str
-    tail_mm: Annotated[float, Field(gt=0, le=1000)] | None
-    exit_pixel: tuple[float, float] | None
+    tail_mm: Annotated[float, Field(gt=0, le=1000)]
+    exit_pixel: tuple[float, float]
     kind: Literal["pull"] = "pull"
+
+
+@dataclass(frozen=True, config=STRICT)
+class LetGo:
+    """Jaws are to let go of thread where they are."""
+
+    arm: str
+    kind: Literal["let_go"] = "let_go"
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -171,6 +180,7 @@ Said = (
     | Click
     | Place
     | PullThrough
+    | LetGo
     | PromptAt
     | Press
     | Beat

@@ -82,6 +82,9 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
         if seen.plan_age_s is not None and seen.plan_age_s > OLD_PLAN_S:
             return "The plan is too old to be armed. Plan again."
         why = f"{arm} holds: {seen.why}. " if seen.mode == "holding" and seen.why else ""
+        if seen.plan["continues"]:
+            first = "Let go of the thread, then name a goal again." if seen.plan["pull"] else "Name a goal again."
+            return f"{why}What was under way has ended. {first}"
         if seen.refused and seen.why:
             why = f"{arm} was not armed: {seen.why}. "
         return f"{why}{plan_words(seen.plan)} Look at it, then press and hold to arm {arm}."
@@ -90,7 +93,8 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
             return f"No thread is seen: {seen.said}." if seen.said else "No thread has been seen yet."
         return f"The thread was seen {seen.thread_age_s:.0f} s ago; frames wait for perception."
     if seen.plan is not None:
-        return f"No grasp is planned: {seen.plan['reason']}. Click another place."
+        what = "pull" if seen.plan["id"].startswith("pull-") else "grasp"
+        return f"No {what} is planned: {seen.plan['reason']}. Click another place."
     return f"{arm} is {seen.mode or 'silent'}. Click the thread where it is to be grasped."
 
 

@@ -65,9 +65,10 @@ class Pulled:
         last = next(reversed(self.segments.values()), None)
         if last is not None and last.status is not Status.OK:
             return f"no plan: {last.reason}"
-        arming = next(reversed(self.armings.values()), None)
-        if arming is None:
+        if not self.armings:
             return "planned, never armed" if last else "no plan followed"
+        taken = [one for one in self.armings.values() if one.answer.outcome is not Outcome.REFUSED]
+        arming = (taken or [*self.armings.values()])[-1]
         finished = bool(arming.events) and arming.events[-1].kind is ExecutionKind.FINISHED
         pull = last.pull if last is not None else None
         if finished and pull is not None and pull.stop is not None:
@@ -98,7 +99,7 @@ class PullCollector:
         match message:
             case CommandRecord():
                 return self._command(message)
-            case GraspPlan() if message.pull is not None:
+            case GraspPlan() if message.pull is not None or message.goal_id in self._of_goal:
                 pull = self._of_plan[message.plan_id] = self._pull(message.goal_id, published_ns)
                 pull.segments[message.plan_id] = message
             case ExecutionEvent() if message.plan_id in self._of_plan:

@@ -80,7 +80,7 @@ class PullStop(enum.Enum):
 
     REACHED: the tail is as long as asked for. NOT_RUNNING: the tool moved and the tail did not follow, though the
     standing strand is slack. TENSION: it did not follow, and the standing strand is straight. FREE_END_NEAR: the free
-    end comes near the tissue. END_UNSEEN: the free end is not seen, so nobody can tell whether thread runs. NO_WAY: no
+    end comes near the tissue. TOO_SHORT: the tail may be shorter than was asked for by more than 2 mm. END_UNSEEN: the free end is not seen, so nobody can tell whether thread runs. NO_WAY: no
     clear way to pull on was found. LET_GO: somebody asked for that.
     """
 
@@ -91,6 +91,7 @@ class PullStop(enum.Enum):
     END_UNSEEN = 5
     NO_WAY = 6
     LET_GO = 7
+    TOO_SHORT = 8
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,7 @@ class Pull:
         sentence: the same in plain words.
         shortest_m: as long as the tail is at least once the jaws hold nothing any more, by its length before they took
             hold and by how far they went since; None where nobody has measured it to its end.
+        longest_m: as long as it is at most, by all measurements to its end before; None likewise.
     """
 
     tail_m: float | None
@@ -145,6 +147,7 @@ class Pull:
     stop: PullStop | None
     sentence: str
     shortest_m: float | None = None
+    longest_m: float | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

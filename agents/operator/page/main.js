@@ -83,10 +83,11 @@ $("hold").addEventListener("click", () => hold());
 $("again").addEventListener("click", () => {
   const goal = picture.goal;
   if (goal?.at) place(goal.at.s);
-  else if (goal) pull(goal.tail_mm, goal.exit?.px ?? null);
+  else if (goal?.tail_mm) pointing("pull");
+  else if (goal) letGo();
 });
-$("pull").addEventListener("click", () => pointing(panel.pointing === "pull" ? "" : "pull"));
-$("let-go").addEventListener("click", () => pull(null, null));
+$("pull").addEventListener("click", () => pointing(panel.pointing !== "pull" && $("tail").reportValidity() ? "pull" : ""));
+$("let-go").addEventListener("click", letGo);
 $("any").addEventListener("click", () => link.say("prompt", { pixel: null }));
 $("meant").addEventListener("click", () => pointing(panel.pointing === "meant" ? "" : "meant"));
 $("take").addEventListener("click", () => link.say("take"));
@@ -107,11 +108,13 @@ $("picture").addEventListener("click", (event) => {
   const pixel = picture.pixelAt(event);
   if (!pixel) return;
   const what = panel.pointing;
+  // what was begun stays what a click means until it can be said
+  if (what === "pull" && !$("tail").reportValidity()) return;
   if (what) pointing("");
   if (what === "meant") {
     link.say("prompt", { pixel });
   } else if (what === "pull") {
-    if ($("tail").reportValidity()) pull($("tail").valueAsNumber, pixel);
+    link.say("pull", { frame: picture.thread?.frame ?? 0, arm: arm(), tail_mm: $("tail").valueAsNumber, exit_pixel: pixel });
   } else {
     link.say("click", { frame: picture.thread?.frame ?? 0, pixel, arm: arm(), policy: $("policy").value });
   }
@@ -133,7 +136,7 @@ $("picture").addEventListener("keydown", (event) => {
   place(Math.max(0, Math.min(1, from + step)));
 });
 addEventListener("keydown", (event) => {
-  const types = event.target.matches?.("input[type=text], input[type=number]");
+  const types = event.target.matches?.("input[type=text]");
   if (event.key === "Escape" || (event.key === " " && !types)) {
     event.preventDefault();
     if (!event.repeat) hold();
@@ -142,7 +145,7 @@ addEventListener("keydown", (event) => {
 // the space bar holds, so it is Enter that ticks a box
 addEventListener("keydown", (event) => { if (event.key === "Enter" && event.target.matches?.("input[type=checkbox]")) event.target.click(); });
 // a button that has the focus is not to be clicked by the key that holds
-addEventListener("keyup", (event) => { if (event.key === " " && !event.target.matches?.("input[type=text], input[type=number]")) event.preventDefault(); }, { capture: true });
+addEventListener("keyup", (event) => { if (event.key === " " && !event.target.matches?.("input[type=text]")) event.preventDefault(); }, { capture: true });
 addEventListener("resize", () => picture.draw());
 
 function hold() {
@@ -155,8 +158,8 @@ function place(s) {
   link.say("place", { s, arm: arm(), policy: $("policy").value });
 }
 
-function pull(tail_mm, exit_pixel) {
-  link.say("pull", { arm: arm(), tail_mm, exit_pixel });
+function letGo() {
+  link.say("let_go", { arm: arm() });
 }
 
 // the next click on the image says something else than a goal on the thread

@@ -62,7 +62,8 @@ export class Panel {
     const ordered = !this.state.arms.some((each) => each.arm === name && OUT_OF_ORDER.includes(each.mode));
     // a press that has begun is let go of by the challenge that must not be answered, which says why
     const blind = this.blind && !down;
-    $("press").disabled = !mine || !plan?.ok || done || !ordered || blind;
+    // a further segment is armed with the first one
+    $("press").disabled = !mine || !plan?.ok || done || !ordered || blind || (plan.continues && !down);
     $("press").classList.toggle("armed", Boolean(armed && down));
     const offered = ordered && !blind ? `Press and hold to arm ${name}` : `${name} cannot be armed`;
     this.put("press-text", armed && down ? `${name} moves: keep pressing` : down ? "Keep pressing ..." : offered);
@@ -172,6 +173,8 @@ function screensSentence(state) {
 
 function goalMarkup(plan, done, goal, note, check) {
   const told = note ? `<p class="refused">${escaped(note)}</p>` : "";
+  // a plan of somebody else's goal, which a press would arm, is not told as that of the goal here
+  if (plan && !goal?.text && plan.goal_id !== goal?.goal_id) return told + otherMarkup(plan, done);
   if (!goal) return `${told}<p>No goal yet. Click the thread, or focus the image and use the arrow keys.</p>`;
   if (!goal.at) return told + pullMarkup(plan, done, goal);
   const at = goal.at;
@@ -201,6 +204,13 @@ function goalMarkup(plan, done, goal, note, check) {
   if (check) rows.push(["check", check]);
   const list = rows.map(([name, words]) => `<dt>${name}</dt><dd>${escaped(words)}</dd>`).join("");
   return `${told}${success}<dl>${list}</dl>${strands}`;
+}
+
+function otherMarkup(plan, done) {
+  const said = plan.ok ? `Planned by another command${done ? ", and carried out" : ""}` : `No plan: ${plan.reason}`;
+  const rows = plan.pull ? [["pull", plan.pull]] : plan.ok ? [["success", percent(plan.probability)]] : [];
+  if (plan.bounds) rows.push(["armed for", plan.bounds]);
+  return `<p>${escaped(said)}</p><dl>${rows.map(([name, words]) => `<dt>${name}</dt><dd>${escaped(words)}</dd>`).join("")}</dl>`;
 }
 
 function pullMarkup(plan, done, goal) {

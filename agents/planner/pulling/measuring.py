@@ -39,7 +39,7 @@ def tail_of(
         strands = strands_of(thread, config, meant_by(pull, held), needle)
         grip, jaw = pull.grip if held else None, jaw_of(T_camera_tool, plan.depth_m or 0.0)
         is_straight = grip is not None and straight(strands, jaw, config)
-        strands = replace(strands, tail=at_least(strands, grip, jaw, pull.shortest_m, config))
+        strands = replace(strands, tail=at_least(strands.tail, grip, jaw, pull.shortest_m, config))
         verdict = decide(pull.tail_m, strands, grip, jaw, is_straight, config, pull.segment > 1)
     except NoGraspError as error:
         # jaws that pull rest until the tail is measured again

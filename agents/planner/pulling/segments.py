@@ -95,7 +95,7 @@ def go_on(
         depth_m = plan.depth_m or 0.0
         jaw = jaw_of(arm.T_camera_tool, depth_m)
         is_straight = was.grip is not None and straight(strands, jaw, config)
-        strands = replace(strands, tail=at_least(strands, was.grip, jaw, was.shortest_m, config))
+        strands = replace(strands, tail=at_least(strands.tail, was.grip, jaw, was.shortest_m, config))
         verdict = decide(was.tail_m, strands, was.grip, jaw, is_straight, config, begun=True)
     except NoGraspError:
         return None
@@ -103,8 +103,8 @@ def go_on(
     if verdict.stop is PullStop.END_UNSEEN or (was.grip is None and verdict.stop is None and strands.standing is None):
         return None
     named = f"pull-{plan.goal_id}.{was.segment + 1}"
-    grip = None if was.grip is None else seen_again(was.grip, strands.tail, jaw)
-    pull = _pull(was.tail_m, was.segment + 1, strands, grip, verdict.sentence, was.shortest_m)
+    grip = None if was.grip is None else seen_again(was.grip, strands, jaw)
+    pull = _pull(was.tail_m, was.segment + 1, strands, grip, verdict.sentence, was)
     if verdict.stop is not None:
         return _over(plan, named, thread, arm, config, pull, verdict)
     if grip is None:
@@ -146,9 +146,8 @@ def meant_by(pull: Pull, held: bool) -> Meant:
     """Which exit and entry are those of a pull that is under way; while its strand is held the tail may get shorter."""
     if pull.exit is None or pull.entry is None:
         return Meant()
-    longest_m = None if pull.tail is None else pull.tail.interval_m[1]
     shortest_m = None if held else pull.shortest_m
-    return Meant(None, pull.exit.point_camera, pull.entry.point_camera, shortest_m, longest_m)
+    return Meant(None, pull.exit.point_camera, pull.entry.point_camera, shortest_m, pull.longest_m)
 
 
 def _pull(
@@ -157,12 +156,15 @@ def _pull(
     strands: Strands,
     grip: PullGrip | None,
     sentence: str,
-    shortest_m: float | None = None,
+    was: Pull | None = None,
 ) -> Pull:
     seen = strands.tail, strands.free_end, strands.exit, strands.entry
-    # until jaws take hold nothing makes the tail shorter
-    low_m = max(strands.tail.interval_m[0], shortest_m or 0.0) if grip is None else None
-    return Pull(tail_m, segment, *seen, grip, None, last=False, stop=None, sentence=sentence, shortest_m=low_m)
+    low_m, high_m = strands.tail.interval_m
+    # until jaws take hold nothing makes the tail shorter, and nothing ever makes it longer
+    shortest_m = max(low_m, (was and was.shortest_m) or 0.0) if grip is None else None
+    highs_m = [one for one in (high_m, was and was.longest_m) if one is not None]
+    bounds = shortest_m, min(highs_m, default=None)
+    return Pull(tail_m, segment, *seen, grip, None, False, None, sentence, *bounds)
 
 
 def _grasped(name: str, header: CommandHeader, arm_name: str, pull: Pull, here: Situation) -> GraspPlan:
@@ -298,15 +300,13 @@ def _over(
     """Let go of what is held: for good where the verdict says to stop, else to grasp anew."""
     was = plan.pull
     held = was is not None and was.grip is not None
-    # of what is not measured now the entry is that of a frame before
-    seen = None if was is None or pull.entry is was.entry else pull.entry
     freed = replace(
         pull,
         grip=None,
         last=verdict.stop is not None,
         stop=verdict.stop,
         sentence=verdict.sentence,
-        shortest_m=shortest_after(pull, jaw_of(arm.T_camera_tool, plan.depth_m or 0.0), seen, config),
+        shortest_m=shortest_after(pull, jaw_of(arm.T_camera_tool, plan.depth_m or 0.0), config),
     )
     opened = float(np.radians(config.open_deg))
     stays = (Waypoint(arm.T_camera_tool, opened, Phase.RELEASE, None),)

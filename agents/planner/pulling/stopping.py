@@ -26,10 +26,10 @@ from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError
-from agents.planner.pulling.strands import GIVES_M, SAMPLES, Strands
+from agents.planner.pulling.strands import END_PX, GIVES_M, SAMPLES, Strands
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
-from schemas.messages import EndSight, Pull, PullGrip, PullStop, StrandEnd, TailLength
+from schemas.messages import EndSight, Pull, PullGrip, PullStop, TailLength
 from schemas.messages.pulling import SIGMAS_95
 
 NEAREST_M = 0.0005
@@ -55,7 +55,7 @@ class Verdict:
 
 
 def at_least(
-    strands: Strands,
+    tail: TailLength,
     grip: PullGrip | None,
     jaw_camera: Float64[np.ndarray, "3"],
     shortest_m: float | None,
@@ -67,43 +67,31 @@ def at_least(
         grip: of what the jaws hold since it was measured; None while they hold nothing.
         shortest_m: as long as it was at least when they let go of it, deviations included; None before.
     """
-    tail = strands.tail
     if not tail.at_least:
         return tail
     bounds = [tail]
     if grip is not None:
-        bounds.append(TailLength(*_not_taken_m(grip, strands.entry, jaw_camera, config), at_least=True))
+        bounds.append(_not_taken(grip, jaw_camera, config))
     elif shortest_m is not None:
         bounds.append(TailLength(shortest_m, 0.0, at_least=True))
     return max(bounds, key=lambda bound: bound.interval_m[0])
 
 
-def shortest_after(
-    pull: Pull, jaw_camera: Float64[np.ndarray, "3"], entry: StrandEnd | None, config: PlannerConfig
-) -> float | None:
-    """As long as the tail is at least where the jaws let go: what they cannot have taken since they grasped.
-
-    Args:
-        entry: as it is seen now; None where it is not.
-    """
+def shortest_after(pull: Pull, jaw_camera: Float64[np.ndarray, "3"], config: PlannerConfig) -> float | None:
+    """As long as the tail is at least where the jaws let go: what they cannot have taken since they grasped."""
     if pull.grip is None:
         return pull.shortest_m
-    left_m, deviation_m = _not_taken_m(pull.grip, entry, jaw_camera, config)
-    return max(left_m - SIGMAS_95 * deviation_m, 0.0)
+    return _not_taken(pull.grip, jaw_camera, config).interval_m[0]
 
 
-def _not_taken_m(
-    grip: PullGrip, entry: StrandEnd | None, jaw_camera: Float64[np.ndarray, "3"], config: PlannerConfig
-) -> tuple[float, float]:
-    """What the jaws left of the tail if all that they can have taken ran, with its deviation.
+def _not_taken(grip: PullGrip, jaw_camera: Float64[np.ndarray, "3"], config: PlannerConfig) -> TailLength:
+    """What the jaws left of the tail if all that they can have taken ran.
 
-    Thread lies straight from the entry to the jaws while it runs, and tissue that follows it has run by that much less.
+    Tissue that followed them has run by that much less; no more is made of it, for what looks like it may be a glint.
     """
-    seen = entry is not None and entry.sight is EndSight.SEEN
-    place = entry.point_camera if entry is not None and seen else grip.entry_camera
-    took_m = max(float(np.linalg.norm(jaw_camera - place)) - grip.strand_m, 0.0)
     deviation_m = np.linalg.norm([grip.tail.deviation_m, grip.deviation_m, config.tool_error_m])
-    return max(grip.tail.length_m - took_m, 0.0), float(deviation_m)
+    left = max(grip.tail.length_m - travelled_m(grip, jaw_camera), 0.0)
+    return TailLength(left, float(deviation_m), at_least=True)
 
 
 def decide(
@@ -129,10 +117,10 @@ def decide(
     """
     tail = strands.tail
     told = in_words(tail)
-    both, ran_m, took_m, unsure_m, drawn_m = "", None, None, 0.0, 0.0
+    both, ran_m, took_m, unsure_m, drawn_m, most_drawn_m = "", None, None, 0.0, 0.0, GIVES_M
     if grip is not None:
         took_m = travelled_m(grip, jaw_camera)
-        drawn_m = float(np.linalg.norm(strands.entry.point_camera - grip.entry_camera))
+        drawn_m, most_drawn_m = _drawn_m(strands, grip)
         deviations = tail.deviation_m, grip.tail.deviation_m, grip.deviation_m, config.tool_error_m
         unsure_m = SIGMAS_95 * float(np.linalg.norm(deviations))
         ran_m = grip.tail.length_m - tail.length_m
@@ -144,10 +132,11 @@ def decide(
         if grip.tail.at_least:
             both, ran_m = "", None
     low_m, high_m = tail.interval_m
-    is_drawn = strands.entry.sight is EndSight.SEEN and drawn_m > GIVES_M + unsure_m
-    drew = f"{told}, and the jaws drew the entry by {MM * drawn_m:.1f} mm"
+    drew = told if grip is None else f"{told}, and the jaws drew the entry by {MM * drawn_m:.1f} mm"
+    if strands.entry.sight is EndSight.SEEN and drawn_m > most_drawn_m and (high_m is None or ran_m is None):
+        return Verdict(PullStop.TENSION, f"{drew}: it is held in the tissue", None, took_m)
     if high_m is None:
-        goes_on = (begun or grip is not None) and strands.entry.sight is EndSight.SEEN and not is_drawn
+        goes_on = (begun or grip is not None) and strands.entry.sight is EndSight.SEEN
         if goes_on and left_m(tail, tail_m, config) > NEAREST_M:
             return Verdict(None, drew, None, took_m)
         why = "hidden" if strands.free_end.sight is EndSight.HIDDEN else "out of view"
@@ -158,9 +147,9 @@ def decide(
         asked = f"{told}, and {MM * tail_m:.1f} mm were asked for"
         if high_m - low_m > 2.0 * WITHIN_M:
             return Verdict(PullStop.END_UNSEEN, f"{asked}, which is not known well enough: look from nearer")
+        if low_m < tail_m - WITHIN_M - NEAREST_M:
+            return Verdict(PullStop.TOO_SHORT, f"{asked}: it may be too short by more than {MM * WITHIN_M:.0f} mm")
         return Verdict(PullStop.REACHED, asked)
-    if ran_m is None and is_drawn:
-        return Verdict(PullStop.TENSION, f"{drew}: it is held in the tissue", None, took_m)
     if ran_m is None or took_m is None or took_m - ran_m <= unsure_m + GIVES_M:
         return Verdict(None, f"{told}{both}", ran_m, took_m)
     if is_straight:
@@ -170,11 +159,26 @@ def decide(
     return Verdict(PullStop.NOT_RUNNING, slips, ran_m, took_m)
 
 
-def seen_again(grip: PullGrip, tail: TailLength, jaw_camera: Float64[np.ndarray, "3"]) -> PullGrip:
+def _drawn_m(strands: Strands, grip: PullGrip) -> tuple[float, float]:
+    """How far the entry is from where it was at the grasp, and how far running thread may draw it, as it is seen."""
+    entry, camera = strands.entry, strands.line.curve.camera
+    moved = entry.point_camera - grip.entry_camera
+    drawn_m = float(np.linalg.norm(moved))
+    along = moved / max(drawn_m, NEAREST_M)
+    end_m = END_PX * float(entry.point_camera[2]) / camera.fx_px
+    # both times its place is as unsure as it is now
+    deviation_m = np.sqrt(2.0 * (float(along @ entry.covariance @ along) + end_m**2))
+    return drawn_m, GIVES_M + SIGMAS_95 * float(deviation_m)
+
+
+def seen_again(grip: PullGrip, strands: Strands, jaw_camera: Float64[np.ndarray, "3"]) -> PullGrip:
     """A grip from where its tail is seen to its end now, which was not when it was grasped; else as it is."""
-    if tail.at_least or not grip.tail.at_least:
+    if strands.tail.at_least or not grip.tail.at_least:
         return grip
-    return replace(grip, strand_m=grip.strand_m + travelled_m(grip, jaw_camera), tail=tail)
+    # from the nearer entry, so that later no less counts as taken than can have run
+    places = grip.entry_camera, strands.entry.point_camera
+    out_m = min(float(np.linalg.norm(jaw_camera - place)) for place in places)
+    return replace(grip, strand_m=max(grip.strand_m, out_m), tail=strands.tail)
 
 
 def travelled_m(grip: PullGrip, jaw_camera: Float64[np.ndarray, "3"]) -> float:

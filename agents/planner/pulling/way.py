@@ -3,9 +3,9 @@
 From where they grasped, the jaws lift back along their fingers, and then go straight on: away from the entry, up from
 the tissue by some angle, and to one side of that by another. Of these ways the one on which the jaws get farthest from
 the entry is taken, of equals the one with the least turns. Along it the tool keeps its attitude. It is followed in
-steps of a millimetre until it is not reachable, would take the jaws out of the view of an eye, beyond the bounds or
-nearer to the entry again,
-brings fingers, wrist or shaft too near to thread, needle or another instrument, or closed fingers to the tissue.
+steps of a millimetre until it is not reachable, would take the jaws out of the view of an eye, beyond the bounds, or
+nearer to the entry again, brings fingers, wrist or shaft too near to thread, needle or another instrument, or closed
+fingers to the tissue.
 
 What does not count as thread in the way is what the jaws hold, and the loose strand behind them that they take along.
 """

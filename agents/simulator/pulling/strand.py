@@ -4,7 +4,8 @@ Implicit Euler without inertia: each step finds the minimum of
 
     ½ Σ EA/ℓ (l − ℓ)² + Σ EI/(a + b) |D − κ₀ (a + b)/2|² + weight + tissue + anchors + ½ Σ c |x − x₀|² / Δt
 
-over the nodes x by Newton's method on a banded matrix; l are the lengths of the segments, ℓ those at rest, D the change
+over the nodes x by Newton's method on a banded matrix, with Coulomb's friction as drag that is weighed anew in each
+iteration by how fast a node slides (μ N / |v|); l are the lengths of the segments, ℓ those at rest, D the change
 of direction between two segments a and b, κ₀ the curvature as drawn, which turns with the thread. A pull is so slow
 that inertia does not count: steps are 40 times as long as those of contact physics. The lengths at rest may change from
 step to step, as they do where thread runs through a hole or a jaw, and the thread stretches; the capsules of contact
@@ -23,8 +24,8 @@ ITERATIONS, DONE_MM, LONGEST_MM = 40, 1e-5, 2.0
 """Of Newton's method: how many, what change ends it, and how far a node goes in one of them."""
 PINNED = 1e4
 """Stiffness that keeps a node in its place, in N/mm; a thread's own is 50 N/mm a segment."""
-USUAL_MM_PER_S, CREEP_MM_PER_S = 5.0, 0.02
-"""Coulomb's friction is found from a speed at which jaws pull, and is viscous below the creep."""
+CREEP_MM_PER_S = 0.02
+"""Friction is viscous below this speed, and Coulomb's above it."""
 SHORT, LONG = 0.4, 1.6
 """Beside a hole or a jaw, segments shorter or longer than this, in usual ones, are joined or divided."""
 SLOPE_OVER_MM = 0.5
@@ -102,9 +103,9 @@ def rested(strand: Strand, law: Law, surface: Surface, anchors: tuple[Anchor, ..
     lumped = 0.5 * (np.append(rest, 0.0) + np.insert(rest, 0, 0.0))
     normals = _normals(surface, before)
     bath = law.bath * np.maximum(lumped, 1e-3)
-    holds = law.friction * law.tissue * lumped * _depth(strand.points, law, surface)
+    holds = law.friction * law.tissue * lumped * _depth(before, law, surface) * -normals[:, 2]
     across = _EYE - normals[:, :, None] * normals[:, None, :]
-    speed = np.full(len(before), USUAL_MM_PER_S)
+    speed = np.full(len(before), CREEP_MM_PER_S)
     x = before.copy()
     for _ in range(ITERATIONS):
         force, diagonal, next_to, beyond = _elastic(x, strand, law)

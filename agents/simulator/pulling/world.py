@@ -48,8 +48,6 @@ ENOUGH_N, ROUNDS = 1e-3, 6
 """Thread that runs does so until tension is so near to friction, or for so many rounds in a step."""
 LEAST_MM = 0.05
 """Of a strand: what is shorter is gone."""
-QUIET_MM = CREEP_MM_PER_S * STEP_S
-"""A strand that moves less in a step rests, until something happens to it: friction holds it."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +198,8 @@ class PullWorld:
             if side.strand is not None and not (side.rests and not self._is_led(name)):
                 strand = rested(side.strand, self.law, self._surface, self._anchors(name), elapsed_s)
                 moved = float(np.abs(strand.points - side.strand.points).max())
-                self._sides[name] = replace(side, strand=strand, rests=moved < QUIET_MM)
+                # what creeps is held by friction, until something happens to it
+                self._sides[name] = replace(side, strand=strand, rests=moved < CREEP_MM_PER_S * elapsed_s)
 
     def _is_led(self, name: str) -> bool:
         """Whether a jaw that holds the strand has come to another place."""

@@ -214,6 +214,9 @@ def test_a_pull_is_asked_for_armed_within_its_bounds_and_ends_by_its_own_reason(
     audit = []
 
     async def look(page, _emulated):
+        await page.value("document.getElementById('tail').value = ''")
+        await page.click("#pull")
+        assert await page.value(of("pull", "getAttribute('aria-pressed')")) == "false", "there is no length"
         await page.value("document.getElementById('tail').value = 12")
         await page.click("#pull")
         await page.click_at(*await page.value(at_pixel(442, 269.5)))

@@ -29,6 +29,7 @@ PLAN = {
     "slide_mm": 12.0,
     "pull": "",
     "bounds": "",
+    "continues": "",
     "probability": 0.93,
     "attempt": 1,
     "attempts": 3,

@@ -240,19 +240,22 @@ def test_a_pull_is_told_with_what_its_tail_came_to_and_is_no_grasp(tmp_path):
     assert plan is not None, answer
     field.arm(plan)
     assert field.to_the_end().ended[0] is messages.ExecutionKind.FINISHED
+    rejected, _ = field.ask(0.004, name="g2")
+    assert rejected is not None
     writer = RecordingWriter(tmp_path / "pull.mcap")
     for entry in field.steps.entries:
         writer.write(topic_of(entry.key), entry)
     writer.note("losses", {"complete": "True"})
     writer.close()
     session = read_session(tmp_path / "pull.mcap")
-    (told,) = pulls(session).rows
+    told, other = pulls(session).rows
+    assert other[3:] == ("4.0", "", "", "1", "0", f"no plan: {rejected.reason}")
     assert (session.grasps, told[2:4], told[7]) == ((), ("psm1", "12.0"), "2")
     assert told[4].startswith("30.0 (29.3")
     assert told[8].startswith("reached: the tail is 1")
     (armed,) = rows_of(session, "armed")
     assert (armed[0], "finished" in armed[4]) == ("pull 1", True)
-    (written,) = document(session)["pulls"]
-    assert len(written["segments"]) == int(told[6]) == len(field.plans)
+    written = document(session)["pulls"][0]
+    assert len(written["segments"]) == int(told[6]) == len(field.plans) - 1
     assert written["tail"][-1]["length_m"] < 0.0135
     assert "tail, mm" in "".join(session_page(session, []))

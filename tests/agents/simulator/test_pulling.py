@@ -88,7 +88,7 @@ def test_a_clamped_strand_sags_as_a_beam_does():
     assert strand.points[-1, 2] - 50.0 == pytest.approx(sag, rel=0.1)
 
 
-@pytest.mark.parametrize(("slope_deg", "stays"), [(14.0, True), (20.0, False)])
+@pytest.mark.parametrize(("slope_deg", "stays"), [(16.0, True), (17.5, False)])
 def test_a_strand_on_a_slope_stays_below_the_angle_of_friction_and_slides_above_it(slope_deg, stays):
     y = np.arange(-40.0, 41.0)
     depth = np.tile(95.0 + np.tan(np.radians(slope_deg)) * y[:, None], (1, 2)).astype(np.float32)
@@ -100,7 +100,7 @@ def test_a_strand_on_a_slope_stays_below_the_angle_of_friction_and_slides_above_
         strand = rested(strand, LAW, slope, hole, 0.02)
     assert np.degrees(np.arctan(LAW.friction)) == pytest.approx(16.7, abs=0.1)
     fell_mm = strand.points[-1, 1]
-    assert fell_mm < 1.0 if stays else fell_mm > 10.0
+    assert fell_mm < 1.0 if stays else fell_mm > 2.0
 
 
 def test_dividing_and_joining_segments_keeps_length_and_the_fixed_node():

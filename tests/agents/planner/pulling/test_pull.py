@@ -138,6 +138,10 @@ def test_a_pull_goes_on_segment_by_segment_grasps_anew_and_ends_at_the_length_th
     assert len(grasps) == 2
     assert [plan.pull.segment for plan in field.plans] == list(range(1, len(field.plans) + 1))
     assert {event.arming_id for event in field.events} == {"a1"}
+    longest = [plan.pull.longest_m for plan in field.plans]
+    assert longest == sorted(longest, reverse=True), (
+        "what was measured once bounds all that is taken for the tail after"
+    )
 
 
 def test_the_tail_is_told_in_each_frame_with_an_interval_that_holds_it(pulled):

@@ -66,13 +66,15 @@ def test_the_free_end_stops_before_the_tissue_by_all_that_is_not_known_of_it():
         assert decide(0.0055, seen(7.0, deviation_mm=deviation_mm), None, away(9), False, CONFIG).stop is stop
 
 
-def test_tissue_that_follows_the_jaws_counts_as_thread_that_does_not_run():
-    moved = seen(30.0)
-    entry = dataclasses.replace(moved.entry, point_camera=moved.entry.point_camera + np.array((0, 0, -0.005)))
-    drawn = dataclasses.replace(moved, entry=entry)
-    assert decide(0.02, drawn, grip(), away(15.0), True, CONFIG).stop is PullStop.TENSION
-    gone = dataclasses.replace(seen(30.0, EndSight.OUT_OF_VIEW), entry=entry)
-    assert decide(0.02, gone, grip(), away(15.0), True, CONFIG).stop is PullStop.END_UNSEEN
+def drawn_by(strands, mm):
+    """The entry so much farther towards the jaws."""
+    at = strands.entry.point_camera - np.array((0, 0, 1e-3 * mm))
+    return dataclasses.replace(strands, entry=dataclasses.replace(strands.entry, point_camera=at))
+
+
+@pytest.mark.parametrize("sight", [EndSight.SEEN, EndSight.OUT_OF_VIEW])
+def test_tissue_that_follows_the_jaws_counts_as_thread_that_does_not_run(sight):
+    assert decide(0.02, drawn_by(seen(30.0, sight), 5.0), grip(), away(15.0), True, CONFIG).stop is PullStop.TENSION
 
 
 @pytest.mark.parametrize("tail_mm", [32.0, 22.0])
@@ -82,18 +84,15 @@ def test_what_grew_or_became_shorter_than_the_jaws_can_have_made_it_is_not_the_t
 
 
 def test_a_tail_whose_end_is_not_seen_is_as_long_as_what_the_jaws_cannot_have_taken_of_it_or_as_what_is_seen():
-    gone = seen(12.0, EndSight.OUT_OF_VIEW)
+    gone = seen(12.0, EndSight.OUT_OF_VIEW).tail
     bound = at_least(gone, grip(), away(15.0), None, CONFIG)
     assert (bound.at_least, bound.length_m) == (True, pytest.approx(0.025, abs=2e-4))
     assert bound.deviation_m == pytest.approx(np.linalg.norm([3e-4, 1e-4, CONFIG.tool_error_m]))
-    followed = dataclasses.replace(gone.entry, point_camera=gone.entry.point_camera - np.array((0, 0, 0.002)))
-    drawn = at_least(dataclasses.replace(gone, entry=followed), grip(), away(15.0), None, CONFIG)
-    assert drawn.length_m == pytest.approx(0.027, abs=2e-4), "by so much less ran"
-    longer = seen(29.0, EndSight.OUT_OF_VIEW)
-    assert at_least(longer, grip(), away(15.0), None, CONFIG) is longer.tail
-    assert at_least(seen(12.0), grip(), away(15.0), None, CONFIG).length_m == 0.012
+    longer = seen(29.0, EndSight.OUT_OF_VIEW).tail
+    assert at_least(longer, grip(), away(15.0), None, CONFIG) is longer
+    assert at_least(seen(12.0).tail, grip(), away(15.0), None, CONFIG).length_m == 0.012
     assert at_least(gone, None, away(15.0), 0.02, CONFIG).interval_m == (0.02, None)
-    assert at_least(gone, None, away(15.0), None, CONFIG) is gone.tail
+    assert at_least(gone, None, away(15.0), None, CONFIG) is gone
 
 
 def test_a_pull_that_has_begun_goes_on_by_that_bound_and_knows_what_runs_once_the_end_is_seen_again():
@@ -102,14 +101,21 @@ def test_a_pull_that_has_begun_goes_on_by_that_bound_and_knows_what_runs_once_th
     unsure = dataclasses.replace(grip(), tail=TailLength(0.022, 0.0, at_least=True))
     again = seen(27.0)
     assert decide(0.02, again, unsure, away(12.0), True, CONFIG).stop is None
-    entry = dataclasses.replace(again.entry, point_camera=again.entry.point_camera - np.array((0, 0, 0.006)))
-    drawn = dataclasses.replace(again, entry=entry)
+    drawn = drawn_by(again, 6.0)
     assert decide(0.02, drawn, unsure, away(12.0), True, CONFIG).stop is PullStop.TENSION
     with pytest.raises(NoGraspError, match="is not the one that is pulled"):
         decide(0.008, seen(10.0), unsure, away(12.0), True, CONFIG)
-    known = seen_again(unsure, again.tail, away(12.0))
+    known = seen_again(unsure, again, away(12.0))
     assert (known.tail, known.strand_m) == (again.tail, pytest.approx(0.012, abs=2e-4))
-    assert seen_again(grip(), again.tail, away(12.0)).tail == grip().tail
+    # thread that the tissue followed with has not run, and may yet
+    assert seen_again(unsure, drawn_by(again, 1.5), away(12.0)).strand_m == pytest.approx(0.0105, abs=2e-4)
+    assert seen_again(grip(), again, away(12.0)).tail == grip().tail
+
+
+@pytest.mark.parametrize(("tail_mm", "stop"), [(19.0, PullStop.REACHED), (18.0, PullStop.TOO_SHORT)])
+def test_a_tail_that_may_be_too_short_by_more_than_2_mm_is_not_told_right(tail_mm, stop):
+    for gripped, at in ((grip(), away(21.0)), (None, away(9.0))):
+        assert decide(0.02, seen(tail_mm), gripped, at, True, CONFIG).stop is stop
 
 
 def test_a_strand_is_straight_where_it_is_no_longer_than_the_way_to_the_jaws_or_is_not_seen_up_to_them():
