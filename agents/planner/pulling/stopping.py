@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import NoGraspError
+from agents.planner.curve import NoGraspError, unit_vectors
 from agents.planner.pulling.strands import END_PX, GIVES_M, SAMPLES, Strands
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
@@ -120,7 +120,7 @@ def decide(
     both, ran_m, took_m, unsure_m, drawn_m, most_drawn_m = "", None, None, 0.0, 0.0, GIVES_M
     if grip is not None:
         took_m = travelled_m(grip, jaw_camera)
-        drawn_m, most_drawn_m = _drawn_m(strands, grip)
+        drawn_m, most_drawn_m = _drawn_m(strands, grip, jaw_camera)
         deviations = tail.deviation_m, grip.tail.deviation_m, grip.deviation_m, config.tool_error_m
         unsure_m = SIGMAS_95 * float(np.linalg.norm(deviations))
         ran_m = grip.tail.length_m - tail.length_m
@@ -159,16 +159,24 @@ def decide(
     return Verdict(PullStop.NOT_RUNNING, slips, ran_m, took_m)
 
 
-def _drawn_m(strands: Strands, grip: PullGrip) -> tuple[float, float]:
-    """How far the entry is from where it was at the grasp, and how far running thread may draw it, as it is seen."""
+def _drawn_m(strands: Strands, grip: PullGrip, jaw_camera: Float64[np.ndarray, "3"]) -> tuple[float, float]:
+    """How far the entry has come towards the jaws since the grasp, and how far running thread may draw it, as is seen.
+
+    Raises:
+        NoGraspError: where it has moved elsewhere, and is another place.
+    """
     entry, camera = strands.entry, strands.line.curve.camera
     moved = entry.point_camera - grip.entry_camera
-    drawn_m = float(np.linalg.norm(moved))
-    along = moved / max(drawn_m, NEAREST_M)
+    towards = unit_vectors(jaw_camera - grip.entry_camera)
+    drawn_m = float(moved @ towards)
     end_m = END_PX * float(entry.point_camera[2]) / camera.fx_px
     # both times its place is as unsure as it is now
-    deviation_m = np.sqrt(2.0 * (float(along @ entry.covariance @ along) + end_m**2))
-    return drawn_m, GIVES_M + SIGMAS_95 * float(deviation_m)
+    deviation_m = np.sqrt(2.0 * (float(np.linalg.eigvalsh(entry.covariance)[-1]) + end_m**2))
+    most_m = GIVES_M + SIGMAS_95 * float(deviation_m)
+    aside_m = float(np.linalg.norm(moved - max(drawn_m, 0.0) * towards))
+    if entry.sight is EndSight.SEEN and aside_m > most_m:
+        raise NoGraspError(f"the entry is not seen where it was, but {MM * aside_m:.1f} mm beside the way to the jaws")
+    return drawn_m, most_m
 
 
 def seen_again(grip: PullGrip, strands: Strands, jaw_camera: Float64[np.ndarray, "3"]) -> PullGrip:

@@ -77,6 +77,13 @@ def test_tissue_that_follows_the_jaws_counts_as_thread_that_does_not_run(sight):
     assert decide(0.02, drawn_by(seen(30.0, sight), 5.0), grip(), away(15.0), True, CONFIG).stop is PullStop.TENSION
 
 
+def test_an_entry_that_is_elsewhere_than_towards_the_jaws_is_another_place():
+    there = seen(30.0)
+    at = dataclasses.replace(there.entry, point_camera=there.entry.point_camera + np.array((0.005, 0, 0)))
+    with pytest.raises(NoGraspError, match="beside the way to the jaws"):
+        decide(0.02, dataclasses.replace(there, entry=at), grip(), away(15.0), True, CONFIG)
+
+
 @pytest.mark.parametrize("tail_mm", [32.0, 22.0])
 def test_what_grew_or_became_shorter_than_the_jaws_can_have_made_it_is_not_the_tail(tail_mm):
     with pytest.raises(NoGraspError, match="is not the one that is pulled"):
