@@ -116,51 +116,88 @@ def decide(
         NoGraspError: where what is taken for the tail cannot be it.
     """
     tail = strands.tail
-    told = in_words(tail)
-    both, ran_m, took_m, unsure_m, drawn_m, most_drawn_m = "", None, None, 0.0, 0.0, GIVES_M
-    if grip is not None:
-        took_m = travelled_m(grip, jaw_camera)
-        drawn_m, most_drawn_m = _drawn_m(strands, grip, jaw_camera)
-        deviations = tail.deviation_m, grip.tail.deviation_m, grip.deviation_m, config.tool_error_m
-        unsure_m = SIGMAS_95 * float(np.linalg.norm(deviations))
-        ran_m = grip.tail.length_m - tail.length_m
-        took = f"{MM * took_m:.1f} (± {MM * unsure_m:.1f})"
-        both = f"; the tail shortened by {MM * ran_m:.1f} mm where the jaws took {took}"
-        grew, shrank = ran_m < -unsure_m, ran_m > took_m + unsure_m
-        if (grew and not grip.tail.at_least) or (shrank and not tail.at_least):
-            raise NoGraspError(f"what is taken for the tail is not the one that is pulled: {told}{both}")
-        if grip.tail.at_least:
-            both, ran_m = "", None
-    low_m, high_m = tail.interval_m
-    drew = told if grip is None else f"{told}, and the jaws drew the entry by {MM * drawn_m:.1f} mm"
-    if strands.entry.sight is EndSight.SEEN and drawn_m > most_drawn_m and (high_m is None or ran_m is None):
-        return Verdict(PullStop.TENSION, f"{drew}: it is held in the tissue", None, took_m)
+    told, (low_m, high_m) = in_words(tail), tail.interval_m
+    since = _NOTHING_HELD if grip is None else _since_grasp(strands, grip, jaw_camera, config)
+    by_entry_alone = high_m is None or since.ran_m is None
+    if since.is_drawn and by_entry_alone:
+        return Verdict(PullStop.TENSION, f"{told}{since.drew}: it is held in the tissue", None, since.took_m)
     if high_m is None:
         goes_on = (begun or grip is not None) and strands.entry.sight is EndSight.SEEN
         if goes_on and left_m(tail, tail_m, config) > NEAREST_M:
-            return Verdict(None, drew, None, took_m)
+            return Verdict(None, f"{told}{since.drew}", None, since.took_m)
         why = "hidden" if strands.free_end.sight is EndSight.HIDDEN else "out of view"
         return Verdict(PullStop.END_UNSEEN, f"the free end is {why}: {told}, and whether it runs cannot be told")
     if low_m <= config.least_tail_m:
         return Verdict(PullStop.FREE_END_NEAR, f"the free end comes near the tissue: {told}")
     if left_m(tail, tail_m, config) <= NEAREST_M:
-        asked = f"{told}, and {MM * tail_m:.1f} mm were asked for"
-        if high_m - low_m > 2.0 * WITHIN_M:
-            return Verdict(PullStop.END_UNSEEN, f"{asked}, which is not known well enough: look from nearer")
-        if low_m < tail_m - WITHIN_M - NEAREST_M:
-            return Verdict(PullStop.TOO_SHORT, f"{asked}: it may be too short by more than {MM * WITHIN_M:.0f} mm")
-        return Verdict(PullStop.REACHED, asked)
-    if ran_m is None or took_m is None or took_m - ran_m <= unsure_m + GIVES_M:
-        return Verdict(None, f"{told}{both}", ran_m, took_m)
+        return _arrived(low_m, high_m, tail_m, f"{told}, and {MM * tail_m:.1f} mm were asked for")
+    told += since.ran
+    if since.ran_m is None or since.took_m is None or since.took_m - since.ran_m <= since.unsure_m + GIVES_M:
+        return Verdict(None, told, since.ran_m, since.took_m)
     if is_straight:
-        held = f"{told}{both}, and the strand that is pulled is straight: it is held in the tissue"
-        return Verdict(PullStop.TENSION, held, ran_m, took_m)
-    slips = f"{told}{both}, and the strand that is pulled is slack: it slips through the jaws, or they missed it"
-    return Verdict(PullStop.NOT_RUNNING, slips, ran_m, took_m)
+        held = f"{told}, and the strand that is pulled is straight: it is held in the tissue"
+        return Verdict(PullStop.TENSION, held, since.ran_m, since.took_m)
+    slips = f"{told}, and the strand that is pulled is slack: it slips through the jaws, or they missed it"
+    return Verdict(PullStop.NOT_RUNNING, slips, since.ran_m, since.took_m)
+
+
+def _arrived(low_m: float, high_m: float, tail_m: float, asked: str) -> Verdict:
+    """What is said of a tail of which no more may run."""
+    if high_m - low_m > 2.0 * WITHIN_M:
+        return Verdict(PullStop.END_UNSEEN, f"{asked}, which is not known well enough: look from nearer")
+    if low_m < tail_m - WITHIN_M - NEAREST_M:
+        return Verdict(PullStop.TOO_SHORT, f"{asked}: it may be too short by more than {MM * WITHIN_M:.0f} mm")
+    return Verdict(PullStop.REACHED, asked)
+
+
+@dataclass(frozen=True)
+class _Since:
+    """What has happened since the strand was grasped.
+
+    Fields:
+        ran_m: how much shorter the tail became; None where its end was not seen then.
+        took_m: what must have run out by where the jaws are; unsure_m: of both together, 95 %.
+        is_drawn: the entry came nearer to the jaws than running thread draws it.
+        ran, drew: the same in words.
+    """
+
+    ran_m: float | None
+    took_m: float | None
+    unsure_m: float
+    is_drawn: bool
+    ran: str
+    drew: str
+
+
+_NOTHING_HELD = _Since(None, None, 0.0, False, "", "")
+
+
+def _since_grasp(
+    strands: Strands, grip: PullGrip, jaw_camera: Float64[np.ndarray, "3"], config: PlannerConfig
+) -> _Since:
+    """What the tail, the jaws, and the entry tell.
+
+    Raises:
+        NoGraspError: where what is taken for tail or entry cannot be it.
+    """
+    tail, took_m = strands.tail, travelled_m(grip, jaw_camera)
+    deviations = tail.deviation_m, grip.tail.deviation_m, grip.deviation_m, config.tool_error_m
+    unsure_m = SIGMAS_95 * float(np.linalg.norm(deviations))
+    ran_m = grip.tail.length_m - tail.length_m
+    took = f"{MM * took_m:.1f} (± {MM * unsure_m:.1f})"
+    ran = f"; the tail shortened by {MM * ran_m:.1f} mm where the jaws took {took}"
+    grew, shrank = ran_m < -unsure_m, ran_m > took_m + unsure_m
+    if (grew and not grip.tail.at_least) or (shrank and not tail.at_least):
+        raise NoGraspError(f"what is taken for the tail is not the one that is pulled: {in_words(tail)}{ran}")
+    drawn_m, most_drawn_m = _drawn_m(strands, grip, jaw_camera)
+    is_drawn = strands.entry.sight is EndSight.SEEN and drawn_m > most_drawn_m
+    drew = f", and the jaws drew the entry by {MM * drawn_m:.1f} mm"
+    known = (None, "") if grip.tail.at_least else (ran_m, ran)
+    return _Since(known[0], took_m, unsure_m, is_drawn, known[1], drew)
 
 
 def _drawn_m(strands: Strands, grip: PullGrip, jaw_camera: Float64[np.ndarray, "3"]) -> tuple[float, float]:
-    """How far the entry has come towards the jaws since the grasp, and how far running thread may draw it, as is seen.
+    """How far the entry has come towards the jaws, and how far running thread may draw it, as it is seen.
 
     Raises:
         NoGraspError: where it has moved elsewhere, and is another place.
