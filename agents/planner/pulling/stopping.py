@@ -2,7 +2,7 @@
 
 Of a strand that had the length a between entry and jaws when it was grasped, |jaw − entry| − a more must have run out
 of the tissue once the jaws are farther away than that. The entry counts where it was then: tissue follows the jaws by
-no more than running thread draws it (GIVES_M), while a knot draws it along as far as they go. No force is measured.
+no more than running thread draws it (`gives_m`), while a knot draws it along as far as they go. No force is measured.
 Thread that lags behind by more than that and all deviations together explain (95 %) does not run: it slips in the jaws
 while the strand between entry and jaws is slack; where that is straight, it is held in the tissue and comes under
 tension. What grew, or became shorter than the jaws can have made it, by more than the deviations is not the tail:
@@ -26,7 +26,7 @@ from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, unit_vectors
-from agents.planner.pulling.strands import END_PX, GIVES_M, SAMPLES, Strands
+from agents.planner.pulling.strands import END_PX, SAMPLES, Strands
 from agents.planner.pulling.tail import tail_length
 from agents.planner.wedge import thread_covariance
 from schemas.messages import EndSight, Pull, PullGrip, PullStop, TailLength
@@ -118,9 +118,8 @@ def decide(
     tail = strands.tail
     told, (low_m, high_m) = in_words(tail), tail.interval_m
     since = _NOTHING_HELD if grip is None else _since_grasp(strands, grip, jaw_camera, config)
-    by_entry_alone = high_m is None or since.ran_m is None
-    if since.is_drawn and by_entry_alone:
-        return Verdict(PullStop.TENSION, f"{told}{since.drew}: it is held in the tissue", None, since.took_m)
+    if since.is_drawn:
+        return Verdict(PullStop.TENSION, f"{told}{since.drew}: it is held in the tissue", since.ran_m, since.took_m)
     if high_m is None:
         goes_on = (begun or grip is not None) and strands.entry.sight is EndSight.SEEN
         if goes_on and left_m(tail, tail_m, config) > NEAREST_M:
@@ -132,7 +131,7 @@ def decide(
     if left_m(tail, tail_m, config) <= NEAREST_M:
         return _arrived(low_m, high_m, tail_m, f"{told}, and {MM * tail_m:.1f} mm were asked for")
     told += since.ran
-    if since.ran_m is None or since.took_m is None or since.took_m - since.ran_m <= since.unsure_m + GIVES_M:
+    if since.ran_m is None or since.took_m is None or since.took_m - since.ran_m <= since.unsure_m + strands.gives_m:
         return Verdict(None, told, since.ran_m, since.took_m)
     if is_straight:
         held = f"{told}, and the strand that is pulled is straight: it is held in the tissue"
@@ -209,7 +208,7 @@ def _drawn_m(strands: Strands, grip: PullGrip, jaw_camera: Float64[np.ndarray, "
     end_m = END_PX * float(entry.point_camera[2]) / camera.fx_px
     # both times its place is as unsure as it is now
     deviation_m = np.sqrt(2.0 * (float(np.linalg.eigvalsh(entry.covariance)[-1]) + end_m**2))
-    most_m = GIVES_M + SIGMAS_95 * float(deviation_m)
+    most_m = strands.gives_m + SIGMAS_95 * float(deviation_m)
     aside_m = float(np.linalg.norm(moved - max(drawn_m, 0.0) * towards))
     if entry.sight is EndSight.SEEN and aside_m > most_m:
         raise NoGraspError(f"the entry is not seen where it was, but {MM * aside_m:.1f} mm beside the way to the jaws")

@@ -27,7 +27,7 @@ LEAST_GAP_M, MOST_GAP_M = 0.002, 0.015
 """A bite is 3 to 10 mm of tissue; what is hidden over less is a glint, and over more no single bite."""
 LEAST_BITE_M, MOST_BITE_M = 0.003, 0.010
 GIVES_M = 0.0025
-"""By so much tissue follows thread that runs: 0.45 N over 0.2 N/mm (docs/simulator.md, physics of a pull)."""
+"""By so much tissue follows thread that runs through the longest bite: half a newton over 0.2 N/mm."""
 END_PX = 3.0
 """The last point of a centreline is up to so far from where the thread ends, or tissue takes it in: over 20 simulated
 pulls strands are told 0.2 to 0.7 mm too long."""
@@ -84,6 +84,15 @@ class Strands:
     standing: tuple[float, float] | None
     ends: bool
     tail_points: Float64[np.ndarray, "k 3"]
+
+    @property
+    def gives_m(self) -> float:
+        """By so much tissue follows thread at half of the newton that it is to bear.
+
+        A bite of length g gives as a disc of its size on an elastic half space, F / (E* g): the longest one by GIVES_M.
+        """
+        bite_m = _apart(self.exit, self.entry.point_camera)
+        return GIVES_M * MOST_BITE_M / float(np.clip(bite_m, LEAST_BITE_M, MOST_BITE_M))
 
 
 @dataclass(frozen=True)

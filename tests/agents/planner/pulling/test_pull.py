@@ -72,7 +72,8 @@ def test_the_first_segment_grasps_the_standing_strand_and_pulls_it_away_from_its
 
 def test_near_the_end_a_segment_is_no_longer_than_what_is_left_of_the_tail():
     long, short = (np.linalg.norm(jaws_mm(first(tail_m))[-1] - ENTRY_MM) for tail_m in (0.02, 0.028))
-    assert long - short == pytest.approx(3.0, abs=0.3)
+    # a bite of 6 mm gives by 4.2 mm at half a newton, and no more may run in a segment; of the other tail 2 mm are left
+    assert long - short == pytest.approx(2.2, abs=0.3)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +185,7 @@ def test_thread_that_does_not_run_is_let_go():
     field.gives = 0.0
     assert stopped(field) is PullStop.TENSION
     travelled = [tail.travelled_m for tail in field.tails if tail.travelled_m is not None]
-    assert max(travelled) < 0.005, "by no more than what is unsure of it"
+    assert max(travelled) < 0.008, "by no more than what tissue gives and what is unsure of it"
 
 
 def test_a_thread_or_a_free_end_that_is_not_seen_any_more_holds():

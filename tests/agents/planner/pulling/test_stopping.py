@@ -46,9 +46,9 @@ def away(mm):
         (seen(21.1, deviation_mm=0.75), grip(), 20.0, True, None, ""),
         (seen(21.0, deviation_mm=1.1), grip(), 20.0, True, PullStop.END_UNSEEN, "not known well enough"),
         (seen(27.0), grip(), 15.0, True, None, ""),
-        (seen(27.0), grip(), 18.0, True, PullStop.TENSION, "it is held in the tissue"),
-        (seen(27.0), grip(), 18.0, False, PullStop.NOT_RUNNING, "slips through the jaws"),
-        (seen(27.0, deviation_mm=1.5), grip(), 18.0, True, None, ""),
+        (seen(27.0), grip(), 20.0, True, PullStop.TENSION, "it is held in the tissue"),
+        (seen(27.0), grip(), 20.0, False, PullStop.NOT_RUNNING, "slips through the jaws"),
+        (seen(27.0, deviation_mm=1.5), grip(), 20.0, True, None, ""),
         (seen(29.0, EndSight.OUT_OF_VIEW), grip(), 15.0, True, None, "drew the entry by 0.0 mm"),
         (seen(29.0, EndSight.HIDDEN), grip(), 15.0, True, None, "drew the entry by 0.0 mm"),
         (seen(19.0, EndSight.HIDDEN), grip(20.0), 15.0, True, PullStop.END_UNSEEN, "is hidden: the tail is at least"),
@@ -74,7 +74,7 @@ def drawn_by(strands, mm):
 
 @pytest.mark.parametrize("sight", [EndSight.SEEN, EndSight.OUT_OF_VIEW])
 def test_tissue_that_follows_the_jaws_counts_as_thread_that_does_not_run(sight):
-    assert decide(0.02, drawn_by(seen(30.0, sight), 5.0), grip(), away(15.0), True, CONFIG).stop is PullStop.TENSION
+    assert decide(0.02, drawn_by(seen(30.0, sight), 6.0), grip(), away(15.0), True, CONFIG).stop is PullStop.TENSION
 
 
 def test_an_entry_that_is_elsewhere_than_towards_the_jaws_is_another_place():
