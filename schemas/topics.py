@@ -4,7 +4,7 @@ Publishers, subscribers, the recorder, health, access rules and documentation ar
 
     suturegrasp/{rig}/{agent}/{instance}/{topic}
 
-with the instance `main`; the arm's name for whatever there is once per arm; the host's for operator, recorder and viewer.
+with the instance `main`; the arm's name for whatever there is once per arm; the host's for operator, recorder, viewer.
 """
 
 import enum

@@ -78,10 +78,11 @@ class TailLength:
 class PullStop(enum.Enum):
     """Why a pull, or one segment of it, ends.
 
-    REACHED: the tail is as long as asked for. NOT_RUNNING: the tool moved and the tail did not follow, though the
-    standing strand is slack. TENSION: it did not follow, and the standing strand is straight. FREE_END_NEAR: the free
-    end comes near the tissue. TOO_SHORT: the tail may be shorter than was asked for by more than 2 mm. END_UNSEEN: the free end is not seen, so nobody can tell whether thread runs. NO_WAY: no
-    clear way to pull on was found. LET_GO: somebody asked for that.
+    REACHED: the tail is as long as asked for. TOO_SHORT: it may be shorter than that by more than 2 mm. NOT_RUNNING:
+    the tool moved and the tail did not follow, though the standing strand is slack. TENSION: it did not follow, and the
+    standing strand is straight. FREE_END_NEAR: the free end comes near the tissue. END_UNSEEN: the free end is not
+    seen, so nobody can tell whether thread runs. NO_WAY: no clear way to pull on was found. LET_GO: somebody asked for
+    that.
     """
 
     REACHED = 1

@@ -59,7 +59,7 @@ def _may_be_parted(mine: Centrelines, others: Sequence[Pair], thread: ThreadReco
     nearest = float(thread.control_points_camera[:, 2].min())
     reach_px = MOST_GAP_M / camera.metres_per_unit * camera.fx_px / nearest
     ends = cKDTree(_ends_px(mine))
-    return any(bool((ends.query(_ends_px(left))[0] <= reach_px).any()) for left, _ in others)
+    return any(bool(np.any(ends.query(_ends_px(left))[0] <= reach_px)) for left, _ in others)
 
 
 def _ends_px(lines: Centrelines) -> Float64[np.ndarray, "e 2"]:
