@@ -28,6 +28,7 @@ from agents.planner.pulling.stopping import (
     in_words,
     left_m,
     seen_again,
+    segment_m,
     shortest_after,
     straight,
 )
@@ -115,7 +116,7 @@ def go_on(
             return _over(plan, named, thread, arm, config, pull, Verdict(PullStop.NO_WAY, str(error)))
         return replace(again, continues=plan.plan_id)
     ahead = clear_until(arm.T_camera_tool, grip.way_end_camera, depth_m, here)
-    run_m = min(left_m(strands.tail, was.tail_m, config), _segment_m(strands, config))
+    run_m = min(left_m(strands.tail, was.tail_m, config), max(segment_m(strands, grip, jaw, config), NEAREST_M))
     away_m = max(float(np.linalg.norm(jaw - grip.entry_camera)), _surely_m(grip)) + run_m
     target = _target(jaw, ahead, grip.entry_camera, away_m, config)
     if np.linalg.norm(target - jaw) < NEAREST_M:
@@ -221,10 +222,10 @@ def _pulling(grasp: GraspPlan, s: float, pull: Pull, here: Situation) -> GraspPl
     covariance = thread_covariance(line.thread, line.curve, between)
     assert covariance is not None  # noqa: S101 - strands are of a thread that tells it
     strand = tail_length(line.curve.points(between), covariance, config.correlation_m)
-    run_m = min(left_m(strands.tail, pull.tail_m or 0.0, config), _segment_m(strands, config))
+    jaw = jaw_of(T_grasp, depth_m)
+    run_m = min(left_m(strands.tail, pull.tail_m or 0.0, config), segment_m(strands, None, jaw, config))
     if way_end is None or np.linalg.norm(way_end - entry) < strand.length_m + run_m:
         return None
-    jaw = jaw_of(T_grasp, depth_m)
     grip = PullGrip(jaw, entry, strand.length_m, strand.deviation_m, strands.tail, way_end)
     T_lifted = moved(T_grasp, lift_of(T_grasp, depth_m, config))
     lifted = jaw_of(T_lifted, depth_m)
@@ -258,18 +259,13 @@ def _grasps(plan: GraspPlan, tail_m: float, here: Situation) -> int:
     return int(np.ceil(_runs_m(grip.tail, tail_m) / max(usable_m, here.config.pull_segment_m)))
 
 
-def _segment_m(strands: Strands, config: PlannerConfig) -> float:
-    """How much may run in one segment: a knot that comes within it draws the tissue by half a newton more."""
-    return min(config.pull_segment_m, strands.gives_m)
-
-
 def _bounds(runs_m: float, grasps: int, here: Situation) -> PullBounds:
     """What a pull needs, its deviations included: a loose strand and a lift with each grasp, and all that is to run."""
     # a way that is oblique to the strand is longer than what runs, by √2 at its steepest
     config = here.config
     slack_m = config.pull_reach_m
     length_m = np.sqrt(2.0) * runs_m + grasps * slack_m
-    time_s = 2 * grasps * GRASP_S + SEGMENT_S * np.ceil(runs_m / _segment_m(here.strands, config))
+    time_s = 2 * grasps * GRASP_S + SEGMENT_S * np.ceil(runs_m / min(config.pull_segment_m, here.strands.gives_m))
     return PullBounds(float(np.ceil(length_m * MM) / MM), float(time_s), config.pull_reach_m + config.grasp_arc_m)
 
 

@@ -131,6 +131,8 @@ def decide(
     if left_m(tail, tail_m, config) <= NEAREST_M:
         return _arrived(low_m, high_m, tail_m, f"{told}, and {MM * tail_m:.1f} mm were asked for")
     told += since.ran
+    if since.unsure_m > config.pull_segment_m:
+        return Verdict(PullStop.END_UNSEEN, f"{told}, which is not known well enough to tell whether it runs")
     if since.ran_m is None or since.took_m is None or since.took_m - since.ran_m <= since.unsure_m + strands.gives_m:
         return Verdict(None, told, since.ran_m, since.took_m)
     if is_straight:
@@ -193,6 +195,18 @@ def _since_grasp(
     drew = f", and the jaws drew the entry by {MM * drawn_m:.1f} mm"
     known = (None, "") if grip.tail.at_least else (ran_m, ran)
     return _Since(known[0], took_m, unsure_m, is_drawn, known[1], drew)
+
+
+def segment_m(
+    strands: Strands, grip: PullGrip | None, jaw_camera: Float64[np.ndarray, "3"], config: PlannerConfig
+) -> float:
+    """d: a knot that comes within a segment draws the entry no farther than the newton does that tissue is to bear.
+
+    Raises:
+        NoGraspError: where what is taken for the entry cannot be it.
+    """
+    drawn_m, most_m = (0.0, 2.0 * strands.gives_m) if grip is None else _drawn_m(strands, grip, jaw_camera)
+    return min(config.pull_segment_m, 3.0 * strands.gives_m - most_m - max(drawn_m, 0.0))
 
 
 def _drawn_m(strands: Strands, grip: PullGrip, jaw_camera: Float64[np.ndarray, "3"]) -> tuple[float, float]:
