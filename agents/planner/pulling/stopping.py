@@ -158,7 +158,8 @@ class _Since:
     Fields:
         ran_m: how much shorter the tail became; None where its end was not seen then.
         took_m: what must have run out by where the jaws are; unsure_m: of both together, 95 %.
-        is_drawn: the entry came nearer to the jaws than running thread draws it.
+        is_drawn: the entry came nearer to the jaws than half a newton draws it; where the tail tells too whether thread
+            runs, than a newton does.
         ran, drew: the same in words.
     """
 
@@ -190,8 +191,10 @@ def _since_grasp(
     grew, shrank = ran_m < -unsure_m, ran_m > took_m + unsure_m
     if (grew and not grip.tail.at_least) or (shrank and not tail.at_least):
         raise NoGraspError(f"what is taken for the tail is not the one that is pulled: {in_words(tail)}{ran}")
-    drawn_m, most_drawn_m = _drawn_m(strands, grip, jaw_camera)
-    is_drawn = strands.entry.sight is EndSight.SEEN and drawn_m > most_drawn_m
+    drawn_m, drawn_unsure_m = _drawn_m(strands, grip, jaw_camera)
+    by_tail_too = not (tail.at_least or grip.tail.at_least)
+    most_m = 2.0 * strands.gives_m - drawn_unsure_m if by_tail_too else strands.gives_m + drawn_unsure_m
+    is_drawn = strands.entry.sight is EndSight.SEEN and drawn_m > most_m
     drew = f", and the jaws drew the entry by {MM * drawn_m:.1f} mm"
     known = (None, "") if grip.tail.at_least else (ran_m, ran)
     return _Since(known[0], took_m, unsure_m, is_drawn, known[1], drew)
@@ -205,12 +208,13 @@ def segment_m(
     Raises:
         NoGraspError: where what is taken for the entry cannot be it.
     """
-    drawn_m, most_m = (0.0, 2.0 * strands.gives_m) if grip is None else _drawn_m(strands, grip, jaw_camera)
-    return min(config.pull_segment_m, 3.0 * strands.gives_m - most_m - max(drawn_m, 0.0))
+    gives_m = strands.gives_m
+    drawn_m, unsure_m = (gives_m, 0.0) if grip is None else _drawn_m(strands, grip, jaw_camera)
+    return min(config.pull_segment_m, 2.0 * gives_m - max(drawn_m, 0.0) - unsure_m)
 
 
 def _drawn_m(strands: Strands, grip: PullGrip, jaw_camera: Float64[np.ndarray, "3"]) -> tuple[float, float]:
-    """How far the entry has come towards the jaws, and how far running thread may draw it, as it is seen.
+    """How far the entry has come towards the jaws, and how well that is known (95 %).
 
     Raises:
         NoGraspError: where it has moved elsewhere, and is another place.
@@ -222,11 +226,11 @@ def _drawn_m(strands: Strands, grip: PullGrip, jaw_camera: Float64[np.ndarray, "
     end_m = END_PX * float(entry.point_camera[2]) / camera.fx_px
     # both times its place is as unsure as it is now
     deviation_m = np.sqrt(2.0 * (float(np.linalg.eigvalsh(entry.covariance)[-1]) + end_m**2))
-    most_m = strands.gives_m + SIGMAS_95 * float(deviation_m)
+    unsure_m = SIGMAS_95 * float(deviation_m)
     aside_m = float(np.linalg.norm(moved - max(drawn_m, 0.0) * towards))
-    if entry.sight is EndSight.SEEN and aside_m > most_m:
+    if entry.sight is EndSight.SEEN and aside_m > strands.gives_m + unsure_m:
         raise NoGraspError(f"the entry is not seen where it was, but {MM * aside_m:.1f} mm beside the way to the jaws")
-    return drawn_m, most_m
+    return drawn_m, unsure_m
 
 
 def seen_again(grip: PullGrip, strands: Strands, jaw_camera: Float64[np.ndarray, "3"]) -> PullGrip:

@@ -74,7 +74,7 @@ def drawn_by(strands, mm):
 
 @pytest.mark.parametrize("sight", [EndSight.SEEN, EndSight.OUT_OF_VIEW])
 def test_tissue_that_follows_the_jaws_counts_as_thread_that_does_not_run(sight):
-    assert decide(0.02, drawn_by(seen(30.0, sight), 6.0), grip(), away(15.0), True, CONFIG).stop is PullStop.TENSION
+    assert decide(0.02, drawn_by(seen(30.0, sight), 8.0), grip(), away(15.0), True, CONFIG).stop is PullStop.TENSION
 
 
 def test_an_entry_that_is_elsewhere_than_towards_the_jaws_is_another_place():
