@@ -193,7 +193,9 @@ def _since_grasp(
         raise NoGraspError(f"what is taken for the tail is not the one that is pulled: {in_words(tail)}{ran}")
     drawn_m, drawn_unsure_m = _drawn_m(strands, grip, jaw_camera)
     by_tail_too = not (tail.at_least or grip.tail.at_least)
-    most_m = 2.0 * strands.gives_m - drawn_unsure_m if by_tail_too else strands.gives_m + drawn_unsure_m
+    most_m = strands.gives_m + drawn_unsure_m
+    if by_tail_too:
+        most_m = max(most_m, 2.0 * strands.gives_m - drawn_unsure_m)
     is_drawn = strands.entry.sight is EndSight.SEEN and drawn_m > most_m
     drew = f", and the jaws drew the entry by {MM * drawn_m:.1f} mm"
     known = (None, "") if grip.tail.at_least else (ran_m, ran)
@@ -225,12 +227,12 @@ def _drawn_m(strands: Strands, grip: PullGrip, jaw_camera: Float64[np.ndarray, "
     drawn_m = float(moved @ towards)
     end_m = END_PX * float(entry.point_camera[2]) / camera.fx_px
     # both times its place is as unsure as it is now
-    deviation_m = np.sqrt(2.0 * (float(np.linalg.eigvalsh(entry.covariance)[-1]) + end_m**2))
-    unsure_m = SIGMAS_95 * float(deviation_m)
+    variances = float(towards @ entry.covariance @ towards), float(np.linalg.eigvalsh(entry.covariance)[-1])
+    unsure_m, most_aside_m = SIGMAS_95 * np.sqrt(2.0 * (np.array(variances) + end_m**2)) + (0.0, strands.gives_m)
     aside_m = float(np.linalg.norm(moved - max(drawn_m, 0.0) * towards))
-    if entry.sight is EndSight.SEEN and aside_m > strands.gives_m + unsure_m:
+    if entry.sight is EndSight.SEEN and aside_m > most_aside_m:
         raise NoGraspError(f"the entry is not seen where it was, but {MM * aside_m:.1f} mm beside the way to the jaws")
-    return drawn_m, unsure_m
+    return drawn_m, float(unsure_m)
 
 
 def seen_again(grip: PullGrip, strands: Strands, jaw_camera: Float64[np.ndarray, "3"]) -> PullGrip:
