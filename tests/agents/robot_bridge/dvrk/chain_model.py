@@ -226,7 +226,9 @@ class Desk:
         screens: Any = self.pages
         commands: Any = self
         voice = Voice(screens, lambda *_, **__: None)
-        self.standing_by = Standing(self.control, commands, voice, lambda _arm: self.newest_ns)
+        self.standing_by = Standing(
+            self.control, commands, voice, lambda _arm: self.newest_ns, lambda _arm, _plan_id: None
+        )
         self.now_pressed = Press()
         for name in PAGES:
             self.follow(self.control.join(name))
@@ -296,7 +298,13 @@ class Desk:
         self.network.carry("guarded answers", lambda: chain.guard.beat(*said) if chain.guard else None)
 
     async def arm(
-        self, screen: str, arm: str, plan_id: str, begins: Callable[[str], bool], challenge_ns: Callable[[], int]
+        self,
+        screen: str,
+        arm: str,
+        plan_id: str,
+        begins: Callable[[str], bool],
+        challenge_ns: Callable[[], int],
+        _pull: None = None,
     ) -> CommandAnswer | None:
         """Arm a plan; one that is not known yet is not tried again here."""
         header = self.chain.header(f"page {screen}")
