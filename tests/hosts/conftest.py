@@ -39,6 +39,10 @@ class Processes:
         child.process.kill()
         child.process.wait(DEADLINE_S)
 
+    def finished(self, name):
+        """The exit status of a process that ends by itself."""
+        return self._running.pop(name).process.wait(DEADLINE_S)
+
     def said(self, name):
         """What a process printed."""
         return (self._folder / f"{name}.log").read_text()
