@@ -97,7 +97,7 @@ class PullStop(enum.Enum):
 
 @dataclass(frozen=True)
 class PullGrip:
-    """The thread between the jaws as it was grasped.
+    """The thread between the jaws as it was grasped, or as its tail was first seen to its end after that.
 
     Fields:
         jaw_camera, entry_camera: where it lay between the fingers, and where tissue took it in.
@@ -131,8 +131,8 @@ class Pull:
         last: the pull is over with this plan.
         stop: why it ends with this plan, or why the jaws let go to grasp anew; None where they pull on.
         sentence: the same in plain words.
-        shortest_m: as long as the tail is at least once the jaws hold nothing any more, by its length before they took
-            hold and by how far they went since; None where nobody has measured it to its end.
+        shortest_m: as long as the tail is at least while the jaws hold nothing: until they take hold as it was measured,
+            and after they let go less by how far they went; None where nobody has measured it to its end.
         longest_m: as long as it is at most, by all measurements to its end before; None likewise.
     """
 
