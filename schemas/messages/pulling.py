@@ -131,7 +131,7 @@ class Pull:
         last: the pull is over with this plan.
         stop: why it ends with this plan, or why the jaws let go to grasp anew; None where they pull on.
         sentence: the same in plain words.
-        shortest_m: as long as the tail is at least while the jaws hold nothing: until they take hold as it was measured,
+        shortest_m: as long as the tail is at least while the jaws hold nothing: until they take hold as measured,
             and after they let go less by how far they went; None where nobody has measured it to its end.
         longest_m: as long as it is at most, by all measurements to its end before; None likewise.
     """
